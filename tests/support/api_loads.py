@@ -51,6 +51,11 @@ def frame(data: bytes, opcode: int = 1) -> bytes:
     return bytes([0x80 | opcode]) + length + bytes(4) + data
 
 
+def operation(**request: object) -> bytes:
+    """An operation of rosbridge as a frame."""
+    return frame(json.dumps(request).encode())
+
+
 def websocket_head(token: str) -> bytes:
     """The request of a WebSocket."""
     key = base64.b64encode(bytes(16)).decode()
@@ -102,8 +107,8 @@ async def latch(address: tuple[str, int], token: str, number: int, topics: int, 
     try:
         for each in range(topics):
             name = f"/latched_{number}_{each}"
-            wire = {"op": "publish", "topic": name, "type": "std_msgs/String", "latch": True}
-            writer.write(frame(json.dumps(wire | {"msg": {"data": "x" * body_bytes}}).encode()))
+            message = {"data": "x" * body_bytes}
+            writer.write(operation(op="publish", topic=name, type="std_msgs/String", latch=True, msg=message))
             await writer.drain()
         await _read_all(reader)
     finally:
@@ -156,13 +161,13 @@ def publish(url: str, token: str, hz: float) -> None:
         answer = b""
         while b"\r\n\r\n" not in answer:
             answer += raw.recv(READ_BYTES)
-        raw.sendall(frame(json.dumps({"op": "advertise", "topic": TOPIC, "type": "geometry_msgs/Twist"}).encode()))
+        raw.sendall(operation(op="advertise", topic=TOPIC, type="geometry_msgs/Twist"))
         due_s = time.monotonic()
         sys.stdout.write("publishing\n")
         sys.stdout.flush()
         while True:
             velocity = {"linear": {"x": encode_time(time.monotonic())}}
-            raw.sendall(frame(json.dumps({"op": "publish", "topic": TOPIC, "msg": velocity}).encode()))
+            raw.sendall(operation(op="publish", topic=TOPIC, msg=velocity))
             due_s = max(due_s + 1 / hz, time.monotonic() - 1 / hz)
             time.sleep(max(0.0, due_s - time.monotonic()))
 

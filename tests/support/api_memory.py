@@ -17,6 +17,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.reloader import Reloader
 from hostlink.recording.recordings import Recordings
 from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
 
@@ -200,13 +201,6 @@ class ApiMemory:
 async def api_memory(folder: Path, config: Config | None = None) -> AsyncIterator[ApiMemory]:
     """A running API server with one robot, for virtual time."""
     made = ApiMemory(Config() if config is None else config, folder)
-    async with asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(made.hub.run())
-        await made.hub.is_running.wait()
-        try:
-            await made.begin()
-            yield made
-        finally:
-            for task in asyncio.all_tasks() - {asyncio.current_task()}:
-                task.cancel()
-            running.cancel()
+    async with running(made.hub):
+        await made.begin()
+        yield made

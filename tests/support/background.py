@@ -14,3 +14,14 @@ async def meanwhile(work: Coroutine[object, object, object]) -> AsyncIterator[No
             yield
         finally:
             task.cancel()
+
+
+@contextlib.asynccontextmanager
+async def cancelling() -> AsyncIterator[asyncio.TaskGroup]:
+    """A group of tasks. At the end of the block, all tasks of the loop are cancelled: they may wait without end."""
+    async with asyncio.TaskGroup() as tasks:
+        try:
+            yield tasks
+        finally:
+            for task in asyncio.all_tasks() - {asyncio.current_task()}:
+                task.cancel()

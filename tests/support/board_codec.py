@@ -52,7 +52,7 @@ def write_headers(selection: TypeSelection, folder: Path) -> list[str]:
     return names
 
 
-def compile_codec(folder: Path, compiler: Sequence[str] = ("g++", "-O0", *SANITIZERS)) -> Path:
+def compile_codec(folder: Path) -> Path:
     """The program of the headers in the folder.
 
     Raises:
@@ -60,7 +60,9 @@ def compile_codec(folder: Path, compiler: Sequence[str] = ("g++", "-O0", *SANITI
     """
     program = folder / "codec"
     sources = [FIRMWARE / "tests" / "message_codec.cpp", SOURCES / "ros" / "wire.cpp"]
-    compiled([*compiler, *CORE, f"-I{SOURCES}", f"-I{folder}", *sources, "-o", program], program, folder)
+    compiled(
+        ["g++", "-O0", *SANITIZERS, *CORE, f"-I{SOURCES}", f"-I{folder}", *sources, "-o", program], program, folder
+    )
     return program
 
 

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import math
 import re
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from tests.support.waiting import TIMEOUT_S
 
 POLL_S = 0.05
 PAUSE_S = 0.3  # between two polls: the page may have taken it for a suspended computer
+GIVEN_UP = "WebSocket is closed before the connection is established."  # by the page, which then tries again
 EFFECT_S = 3.0  # for the effect of a key on a busy machine
 
 expect.set_options(timeout=1000 * TIMEOUT_S)
@@ -36,6 +37,9 @@ DESK = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
 
 
+Act = Callable[[], Awaitable[object]]
+
+
 @dataclass
 class Visit:
     """One visit of the page, and the errors that the browser reported."""
@@ -46,7 +50,8 @@ class Visit:
     other_hosts: list[str] = field(default_factory=list)
 
     def add_complaint(self, message: ConsoleMessage) -> None:
-        if message.type in ("error", "warning"):  # a violation of the Content-Security-Policy is one of them
+        is_complaint = message.type in ("error", "warning")  # a violation of the Content-Security-Policy is one of them
+        if is_complaint and not message.text.endswith(GIVEN_UP):
             self.complaints.append(message.text)
 
     def add_request(self, request: Request) -> None:
@@ -66,24 +71,48 @@ class Visit:
         await self.shows("#connection", "connected", timeout_s=timeout_s)
 
     async def hold(self, key: str, is_so: Callable[[], object]) -> None:
-        """Hold a key until a condition is true.
+        """Hold a key until a condition is true (`press_until`)."""
+        keys = self.page.keyboard
+        await self.press_until(lambda: keys.down(key), lambda: keys.up(key), is_so)
 
-        The page ends a motion when it has stood still for long. After a pause of the machine without the effect, the
-        key is therefore pressed again.
+    async def drag_stick(self, right_px: float, up_px: float, is_so: Callable[[], object]) -> None:
+        """Drag the joystick with the mouse until a condition is true (`press_until`)."""
+        mouse, (x, y) = self.page.mouse, await self.stick()
+
+        async def press() -> None:
+            await mouse.move(x, y)
+            await mouse.down()
+            await mouse.move(x + right_px, y - up_px, steps=3)
+
+        await self.press_until(press, mouse.up, is_so)
+
+    async def hold_button(self, button: str, is_so: Callable[[], object]) -> None:
+        """Hold a button of a test's gamepad until a condition is true (`press_until`)."""
+        await self.press_until(
+            lambda: self.page.evaluate(f"{button}.pressed = true"),
+            lambda: self.page.evaluate(f"{button}.pressed = false"),
+            is_so,
+        )
+
+    async def press_until(self, press: Act, release: Act, is_so: Callable[[], object]) -> None:
+        """Press something until a condition is true.
+
+        The page ends a motion when it has stood still for long, and so does the daemon. After a pause of the machine
+        without the effect, it is therefore released and pressed again.
         """
         now_s = asyncio.get_running_loop().time
-        await self.page.keyboard.down(key)
+        await press()
         deadline_s, again_at_s = now_s() + TIMEOUT_S, math.inf
         while not is_so():
             polled_s = now_s()
-            assert polled_s < deadline_s, f"{key} had no effect within {TIMEOUT_S:g} s"
+            assert polled_s < deadline_s, f"it had no effect within {TIMEOUT_S:g} s"
             if polled_s >= again_at_s:
-                await self.page.keyboard.up(key)
-                await self.page.keyboard.down(key)
+                await release()
+                await press()
                 again_at_s = math.inf
             await asyncio.sleep(POLL_S)
             if now_s() - polled_s > PAUSE_S:
-                again_at_s = now_s() + EFFECT_S
+                again_at_s = min(again_at_s, now_s() + EFFECT_S)
 
     async def layout(self, name: str) -> None:
         """Choose a layout: Drive, Tune, Fleet, Watch."""

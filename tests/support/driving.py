@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import aiohttp
 
+from hostlink.client import Robot
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.hub.hub import Hub
 from hostlink.robot.admission import LEASE_S
@@ -90,6 +91,20 @@ def obeyed(drive: Callable[[], Value]) -> Value:
         except HostlinkError as error:  # an earlier velocity was broken off
             if "this program did not run" not in str(error):
                 raise
+
+
+async def hold(robot: Robot, linear_m_s: float, angular_rad_s: float) -> None:
+    """Let a program hold a velocity. After a pause of the daemon it lets go for as long as a lease, and tries again."""
+    pause = Pause()
+    while True:
+        try:
+            await robot.drive(linear_m_s, angular_rad_s)
+        except CommandRefused as refused:
+            if not pause.explains(refused.kind):
+                raise
+            await asyncio.sleep(LEASE_S)
+        else:
+            return
 
 
 async def answered(send: Callable[[], Awaitable[tuple[int, Any]]]) -> tuple[int, Any]:

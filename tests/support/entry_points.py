@@ -27,22 +27,39 @@ from hostlink.cli import demo, play
 from hostlink.cli.driving import GRACE_S, Driving, Key
 from hostlink.cli.teleop import KeyDriver, WatchedRobot
 from hostlink.client import RobotState
+from hostlink.config import Config, ZenohConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.ros2.plan import TWIST, VelocityInput
 from hostlink.graphs.ros2.velocity import VelocityDriver
+from hostlink.graphs.ros2_types import Ros2Types
+from hostlink.graphs.zenoh.fleet import fleet_running
+from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
+from hostlink.graphs.zenoh.rmw_protocol import (
+    TELEMETRY,
+    Attachment,
+    EndpointToken,
+    NodeToken,
+    RemoteGraph,
+    TokenKind,
+    gid_of,
+)
+from hostlink.graphs.zenoh.session import ZenohSession
+from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
+from hostlink.mirror.log_once import LogOnce
 from hostlink.protocol.frame import Id
 from hostlink.recording.channel import VELOCITY, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity, Twist
-from tests.support import foreign_drivers
 from tests.support.fake_device import CATALOG, topic
-from tests.support.foreign_drivers import FleetDriver, RmwDriver, Ros1Driver
+from tests.support.foreign_drivers import PRIORITY, FleetDriver, Ros1Driver
 from tests.support.memory_client import MemoryHost, memory_host
+from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, Scene
 from tests.support.scripted_device import ScriptedDevice
 
 SPEED_M_S = 0.2
+ROS2_TWIST = "geometry_msgs/msg/Twist"
 CMD_VEL, CMD_VEL_STAMPED = f"/{ROBOT}/cmd_vel", f"/{ROBOT}/cmd_vel_stamped"
 VELOCITY_COMMANDS = f"/{ROBOT}/velocity_commands"  # as the device itself names it
 _NO_NAN = "its JSON has no number for it, and the request is refused as wrong"
@@ -475,23 +492,39 @@ class Ros1Publisher(EntryPoint):
 
 
 class RmwPublisher(EntryPoint):
+    """A publisher of ROS 2 in the graph of rmw_zenoh."""
+
     cannot: ClassVar = _PUBLISHED
 
     async def begin(self) -> None:
-        self._driver = RmwDriver(self.made)
+        counts = Counter[str]()
+        unused = cast("ZenohSession", None)  # publishers send nothing
+        own = NodeToken(0, "ff", 0, "/", "hostlink")
+        node = RmwNode(self.made.hub, unused, Ros2Types(CATALOG, "kilted"), own, counts)
+        graph = RemoteGraph(0, counts)
+        self._publishers, self._sent = Publishers(node, graph, LogOnce(counts)), 0
+        remote = NodeToken(0, "aa", 0, "/", "driver")
+        endpoint = EndpointToken(TokenKind.PUBLISHER, remote, 1, CMD_VEL, ROS2_TWIST, "RIHS01_0", TELEMETRY).encode()
+        self._gid, token = gid_of(endpoint), graph.add(endpoint)
+        assert isinstance(token, EndpointToken)
+        self._publishers.add(token, endpoint)
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
+        velocity = PlanarVelocity(speed_m_s, left_m_s)
         if self.late_s:
-            late_s = self.late_s
-            asyncio.get_running_loop().call_later(
-                late_s, lambda: self._driver.drive(speed_m_s, left_m_s=left_m_s, late_s=late_s)
-            )
+            asyncio.get_running_loop().call_later(self.late_s, self._publish, velocity, self.late_s)
         else:
-            self._driver.drive(speed_m_s, left_m_s=left_m_s)
+            self._publish(velocity, 0.0)
+
+    def _publish(self, velocity: PlanarVelocity, late_s: float) -> None:
+        self._sent += 1
+        attachment = Attachment(self._sent, int((100.0 + _now_s() - late_s) * 1e9), self._gid)
+        self._publishers.publish(attachment, (CMD_VEL, ROS2_TWIST), velocity.encode(), topic=CMD_VEL)
 
     async def vanish(self) -> None:
-        self._driver.vanish()
+        """Withdraw the publisher's token."""
+        self._publishers.clear()
 
 
 class Fleet(EntryPoint):
@@ -525,30 +558,42 @@ class FleetPublisher(Fleet):
 
 
 class FleetSender(EntryPoint):
-    """A program of this daemon that drives a robot of another one, with both daemons."""
+    """A program of this daemon that drives a robot of another one, with all parts of both daemons."""
 
     cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
 
     async def begin(self) -> None:
-        self._sender = foreign_drivers.FleetSender(self.made)
-        await self._sender.begin()
+        self.hub, self._stack = Hub(Config(), CATALOG), contextlib.AsyncExitStack()
+        self._running = self.made.tasks.create_task(self.hub.run())
+        await self.hub.is_running.wait()
+        network = MemoryNetwork()
+        for hub, name, zid in ((self.made.hub, "lab", "1a"), (self.hub, "desk", "2b")):
+            session = cast("ZenohSession", MemorySession(network, zid))
+            await self._stack.enter_async_context(fleet_running(hub, session, ZenohConfig(name=name)))
+        await asyncio.sleep(2.0)  # the second state of a robot has its topics
+        self.participant = self.hub.join("client 3")
 
     @property
     def epoch(self) -> int:
-        return self._sender.robot.admission.epoch
+        return self.hub.robots.find(ROBOT).admission.epoch
 
     def refused(self) -> Counter[RefusalKind]:
-        return super().refused() + Counter(self._sender.robot.admission.refused)
+        return super().refused() + Counter(self.hub.robots.find(ROBOT).admission.refused)
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
-        await self._sender.drive(PlanarVelocity(speed_m_s, left_m_s), late_s=self.late_s, epoch=epoch)
+        participant, velocity = self.participant, PlanarVelocity(speed_m_s, left_m_s)
+        robot = self.hub.robots.find(ROBOT, driver=lambda: participant)
+        participant.drive(robot, velocity, priority=PRIORITY, received_s=_now_s() - self.late_s, epoch=epoch)
+        await participant.driven(robot, velocity)
 
     async def vanish(self) -> None:
-        self._sender.vanish()
+        self.participant.leave()
 
     async def end(self) -> None:
         self.silence()
-        await self._sender.end()
+        await self.vanish()
+        await self._stack.aclose()
+        self._running.cancel()
 
 
 class FleetSenderPublish(FleetSender):
@@ -558,7 +603,8 @@ class FleetSenderPublish(FleetSender):
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        self._sender.publish(CMD_VEL, PlanarVelocity(speed_m_s, left_m_s), late_s=self.late_s)
+        self.participant.advertise(CMD_VEL, TWIST_TYPE)
+        self.participant.publish(CMD_VEL, PlanarVelocity(speed_m_s, left_m_s).encode(), at_s=_now_s() - self.late_s)
 
 
 class DevicePublisher(EntryPoint):

@@ -4,20 +4,15 @@ There is no network, so that they run in virtual time. `vanish` is what the grap
 """
 
 import asyncio
-import contextlib
 import itertools
-import socket
 from collections import Counter
-from typing import Any, cast
+from typing import cast
 
-from hostlink.config import Config, Ros1Config, ZenohConfig
+from hostlink.config import Ros1Config
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.ros1.local_node import LocalNode
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
 from hostlink.graphs.ros1.topics import _PublisherConnection
-from hostlink.graphs.ros2_names import Qos
-from hostlink.graphs.ros2_types import Ros2Types
-from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
     ANSWER,
@@ -28,50 +23,18 @@ from hostlink.graphs.zenoh.fleet_messages import (
     State,
     encode,
 )
-from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
-from hostlink.graphs.zenoh.rmw_protocol import (
-    Attachment,
-    EndpointToken,
-    NodeToken,
-    RemoteGraph,
-    TokenKind,
-    gid_of,
-)
 from hostlink.graphs.zenoh.roster import FleetRoster
 from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
-from hostlink.hub.robot import AnyRobot
 from hostlink.log_budget import Budget
-from hostlink.mirror.log_once import LogOnce
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
-from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, Scene
 
 PRIORITY = 50
-ROS2_TWIST = "geometry_msgs/msg/Twist"
-
-
-class _Wireless(asyncio.Transport):
-    """The transport of a connection whose peer is the test."""
-
-    def __init__(self, connection: socket.socket) -> None:
-        """`connection`: for the options that are set on it."""
-        super().__init__({"peername": ("10.0.0.9", 1), "socket": connection})
-
-    def write(self, data: Any) -> None:
-        """Discard the data."""
-
-    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Ignore the limits, because no data waits."""
-
-    def close(self) -> None:
-        """There is nothing to close."""
-
-    def abort(self) -> None:
-        """There is nothing to close."""
 
 
 class Ros1Driver:
@@ -84,8 +47,9 @@ class Ros1Driver:
         name = scene.hub.robots.find_here(ROBOT).shown.velocity
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
         self._connection = _PublisherConnection(self._node, topic, Budget(), is_new=True)
-        with socket.socket() as connection:
-            self._connection.wire.connection_made(_Wireless(connection))
+        transport = ApiTransport("10.0.0.9")
+        transport.protocol = self._connection.wire
+        self._connection.wire.connection_made(transport)
         fields = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": twist.md5, "topic": name}
         self._connection.wire.data_received(encode_header(fields))
 
@@ -169,77 +133,6 @@ class FleetDriver:
     def vanish(self) -> None:
         """The token of its daemon is gone."""
         self._drivers.leave(self._there.zid)
-
-
-class FleetSender:
-    """Two daemons of a fleet, each with all of its parts. A program at the one here drives a robot of the scene's."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.hub = Hub(Config(), CATALOG)
-        self._scene, self._stack = scene, contextlib.AsyncExitStack()
-
-    async def begin(self) -> None:
-        self._running = self._scene.tasks.create_task(self.hub.run())
-        await self.hub.is_running.wait()
-        network = MemoryNetwork()
-        for hub, name, zid in ((self._scene.hub, "lab", "1a"), (self.hub, "desk", "2b")):
-            session = cast("ZenohSession", MemorySession(network, zid))
-            await self._stack.enter_async_context(fleet_running(hub, session, ZenohConfig(name=name)))
-        await asyncio.sleep(2.0)  # the second state of a robot has its topics
-        self.participant = self.hub.join("client 3")
-
-    @property
-    def robot(self) -> AnyRobot:
-        return self.hub.robots.find(ROBOT)
-
-    async def drive(self, velocity: PlanarVelocity, *, late_s: float = 0.0, epoch: int | None = None) -> None:
-        participant = self.participant
-        robot = self.hub.robots.find(ROBOT, driver=lambda: participant)
-        participant.drive(robot, velocity, priority=PRIORITY, received_s=_now_s() - late_s, epoch=epoch)
-        await participant.driven(robot, velocity)
-
-    def publish(self, topic: str, velocity: PlanarVelocity, *, late_s: float = 0.0) -> None:
-        self.participant.advertise(topic, TWIST_TYPE)
-        self.participant.publish(topic, velocity.encode(), at_s=_now_s() - late_s)
-
-    def vanish(self) -> None:
-        self.participant.leave()
-
-    async def end(self) -> None:
-        self.vanish()
-        await self._stack.aclose()
-        self._running.cancel()
-
-
-class RmwDriver:
-    """A publisher of ROS 2 in the graph of rmw_zenoh."""
-
-    def __init__(self, scene: Scene) -> None:
-        counts = Counter[str]()
-        own = NodeToken(0, "ff", 0, "/", "hostlink")
-        node = RmwNode(
-            scene.hub, cast("ZenohSession", None), Ros2Types(CATALOG, "kilted"), own, counts
-        )  # publishers send nothing
-        graph = RemoteGraph(0, counts)
-        self._publishers = Publishers(node, graph, LogOnce(counts))
-        self._topic = f"/{ROBOT}/cmd_vel"
-        remote = NodeToken(0, "aa", 0, "/", "driver")
-        endpoint = EndpointToken(TokenKind.PUBLISHER, remote, 1, self._topic, ROS2_TWIST, "RIHS01_0", Qos())
-        self._gid, self._sent = gid_of(endpoint.encode()), 0
-        token = graph.add(endpoint.encode())
-        assert isinstance(token, EndpointToken)
-        self._publishers.add(token, endpoint.encode())
-
-    def drive(self, speed_m_s: float, *, left_m_s: float = 0.0, late_s: float = 0.0) -> None:
-        self._sent += 1
-        attachment = Attachment(self._sent, int((100.0 + _now_s() - late_s) * 1e9), self._gid)
-        self._publishers.publish(
-            attachment, (self._topic, ROS2_TWIST), PlanarVelocity(speed_m_s, left_m_s).encode(), topic=self._topic
-        )
-
-    def vanish(self) -> None:
-        """Withdraw the publisher's token."""
-        self._publishers.clear()
 
 
 def ros1(scene: Scene, role: Role) -> Ros1Driver:

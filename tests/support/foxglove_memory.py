@@ -13,6 +13,7 @@ from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
+from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG
 
 TIME = 2  # opcode
@@ -81,11 +82,6 @@ class World:
 
 @contextlib.asynccontextmanager
 async def world(config: Config | None = None) -> AsyncIterator[World]:
-    """Run a world within the block. Waiting tasks are cancelled at its end."""
-    async with asyncio.TaskGroup() as tasks:
-        made = World(tasks, Config() if config is None else config)
-        try:
-            yield made
-        finally:
-            for task in asyncio.all_tasks() - {asyncio.current_task()}:
-                task.cancel()
+    """Run a world within the block."""
+    async with cancelling() as tasks:
+        yield World(tasks, Config() if config is None else config)

@@ -31,7 +31,7 @@ BLOB = base64.b64encode(bytes(BLOB_BUFFER_BYTES - 100)).decode()
 
 @dataclass
 class Drive:
-    """A daemon and its two robots, both moving."""
+    """A daemon and its robots, all moving."""
 
     daemon: Process
     robots: list[UnwatchedRobot] = field(default_factory=list)
@@ -43,7 +43,7 @@ class Drive:
         return max(robot.stood_after_s(since_s) for robot in self.robots)
 
     async def moves(self) -> None:
-        """Wait until both robots move.
+        """Wait until all robots move.
 
         A command that a busy machine delivers late is refused, and its source must let go before it drives again.
         """
@@ -60,25 +60,35 @@ class Drive:
 
 @contextlib.asynccontextmanager
 async def driving(reading: Reading, *arguments: str) -> AsyncIterator[Drive]:
-    """Both robots move when the block begins, and commands come 200 times a second until the daemon is gone."""
+    """A robot on a serial port and one over TCP, both of which move (`moving`)."""
     async with (
         robot_on_pty("on_wire") as (on_wire, port),
         serve("--serial", f"{port}@{BAUD}", *arguments) as daemon,
         robot_on_tcp(daemon.tcp, "on_air", reading) as on_air,
-        aiohttp.ClientSession() as session,
+        moving(daemon, on_wire, on_air) as drive,
     ):
-        await daemon.logged("robot.appeared", 2)
-        async with session.ws_connect(daemon.url) as client, asyncio.TaskGroup() as tasks:
-            drive = Drive(daemon, [on_wire, on_air])
-            sources = [tasks.create_task(_command(client, drive))]
-            if reading.with_blobs:
-                sources.append(tasks.create_task(_send_blobs(client)))
-            try:
-                await drive.moves()
-                yield drive
-            finally:
-                for source in sources:
-                    source.cancel()
+        yield drive
+
+
+@contextlib.asynccontextmanager
+async def moving(daemon: Process, *robots: UnwatchedRobot) -> AsyncIterator[Drive]:
+    """The robots move when the block begins, and commands come 200 times a second until the daemon is gone."""
+    await daemon.logged("robot.appeared", len(robots))
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(daemon.url) as client,
+        asyncio.TaskGroup() as tasks,
+    ):
+        drive = Drive(daemon, list(robots))
+        sources = [tasks.create_task(_command(client, drive))]
+        if any(robot.reading.with_blobs for robot in robots):
+            sources.append(tasks.create_task(_send_blobs(client)))
+        try:
+            await drive.moves()
+            yield drive
+        finally:
+            for source in sources:
+                source.cancel()
 
 
 async def end_at(drive: Drive, after_s: float, end: Callable[[int], None]) -> float:
@@ -118,10 +128,10 @@ async def _command(client: aiohttp.ClientWebSocketResponse, drive: Drive) -> Non
         for turn in itertools.count():
             now_s = time.monotonic()
             drive.longest_gap_s, sent_s = max(drive.longest_gap_s, now_s - sent_s), now_s
-            for name in () if drive.is_let_go else ("on_wire", "on_air"):
+            for robot in () if drive.is_let_go else drive.robots:
                 speed = 0.1 + turn % 7 / 100
                 twist = {"linear": {"x": speed, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0.5}}
-                await client.send_json({"op": "publish", "topic": f"/{name}/velocity_commands", "msg": twist})
+                await client.send_json({"op": "publish", "topic": f"/{robot.name}/velocity_commands", "msg": twist})
             await asyncio.sleep(COMMAND_INTERVAL_S)
 
 

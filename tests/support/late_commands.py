@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import re
 import signal
 import statistics
 import time
@@ -17,6 +16,7 @@ from tests.support.background import meanwhile
 from tests.support.core_part import part_of_a_core
 from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics
 from tests.support.process import Process, serve
+from tests.support.resources import resident_mib
 
 ROOT = Path(__file__).resolve().parents[2]
 DRIVE_S, AFTER_S = 3.0, 2.0
@@ -74,11 +74,6 @@ class Outcome:
             f" zero {self.zero_s:.2f} s after the driver's end; stops {stops or '-'} ms;"
             f" RSS {self.before_mib:.0f} -> {self.most_mib:.0f} MiB"
         )
-
-
-def resident_mib(pid: int) -> float:
-    """The memory of a process."""
-    return int(re.findall(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())[0]) / 1024
 
 
 @contextlib.asynccontextmanager
@@ -139,13 +134,12 @@ async def measure(
     part: float | None = None,
     drive_s: float = DRIVE_S,
     has_stops: bool = False,
-    program: tuple[str, ...] = (),
 ) -> Outcome:
     """Drive at 20 Hz under the loads of these names, kill the driver, and look at what the device received."""
     config = folder / "hostlink.toml"
     config.write_text(TOKENS)
     heard, most = Heard(), list[float]()
-    async with serve("--config", str(config), program=program) as host, contextlib.AsyncExitStack() as stack:
+    async with serve("--config", str(config)) as host, contextlib.AsyncExitStack() as stack:
         device = await stack.enter_async_context(fake_device(host.tcp, robot_topics()))
         await stack.enter_async_context(repeating(device, pose(0.0)))
         await host.read_log("robot.appeared")

@@ -34,12 +34,14 @@ class MemoryConnection:
     """HostConnection to a hub. `delay_s`: delay of messages that are sent from now on."""
 
     is_connected = True
+    keeping = HostConnection.keeping
 
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.delay_s = 0.0
         self._hub = hub
         self.handlers: defaultdict[str, list[Callable[[dict[str, Any]], None]]] = defaultdict(list)
         self.on_open: list[Callable[[], Awaitable[None]]] = []  # it is never opened again
+        self._kept: dict[str, Mapping[str, Any]] = {}
         self._queue = ClientQueue()
         self._queue.on_news = self._receive
         self._client = RosbridgeClient(f"program {next(_numbers)}", hub, self._queue, spawn=tasks.create_task)

@@ -1,8 +1,9 @@
 """A hub in virtual time whose devices are in memory: for tests of the hub without sockets."""
 
 import asyncio
+import contextlib
 import struct
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 
 from structlog.testing import capture_logs
@@ -13,6 +14,7 @@ from hostlink.hub.gates import Guard
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot
 from hostlink.protocol.control import TopicInfo
+from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
@@ -77,6 +79,15 @@ class MemoryHub:
         return asyncio.get_running_loop().time()
 
 
+@contextlib.asynccontextmanager
+async def running(hub: Hub) -> AsyncIterator[asyncio.TaskGroup]:
+    """A hub that runs for the length of the block."""
+    async with cancelling() as tasks:
+        tasks.create_task(hub.run())
+        await hub.is_running.wait()
+        yield tasks
+
+
 def in_hub(
     test: Callable[[MemoryHub], Awaitable[None]], config: Config | None = None, *, reraises: bool = True
 ) -> None:
@@ -86,11 +97,8 @@ def in_hub(
         guard = RecordingGuard()
         given: Guard = guard
         hub = Hub(Config() if config is None else config, CATALOG, reraises=reraises, guard=given)
-        async with asyncio.TaskGroup() as tasks:
-            running = tasks.create_task(hub.run())
-            await hub.is_running.wait()
+        async with running(hub):
             await test(MemoryHub(hub, guard, logs))
-            running.cancel()
 
     with capture_logs() as logs:
         run_virtual(run(logs))

@@ -1,7 +1,7 @@
 """A transport without an operating system: two ends in memory, for Link tests in virtual time.
 
-    host, device = memory_pair(piece_bytes=3)
-    await device.send(frame)          # the host receives it in pieces of 3 bytes
+    host, device = memory_pair()
+    await device.send(frame)          # the host receives it
     await device.aclose()             # the host receives b""
     device.break_off()                # both ends get an OSError
 
@@ -19,10 +19,10 @@ ROOM_BYTES = 16384
 class _Line:
     """One direction: what was sent and not received yet."""
 
-    def __init__(self, room_bytes: int, piece_bytes: int) -> None:
+    def __init__(self, room_bytes: int) -> None:
         self.on_readable: Callable[[], object] = lambda: None
         self.is_ended = False
-        self._room_bytes, self._piece_bytes = room_bytes, piece_bytes
+        self._room_bytes = room_bytes
         self._waiting = bytearray()
         self._is_broken = False
         self._changed = asyncio.Event()
@@ -30,7 +30,7 @@ class _Line:
     @property
     def unread_bytes(self) -> int:
         """Number of bytes that one reading returns."""
-        return 0 if self._is_broken else min(len(self._waiting), self._piece_bytes)
+        return 0 if self._is_broken else min(len(self._waiting), READ_BYTES)
 
     def write(self, data: bytes) -> bool:
         """Queue data. Return False if more waits than there is room for, or if it can never be read."""
@@ -52,7 +52,7 @@ class _Line:
         """A piece, or the end."""
         if self._is_broken:
             raise ConnectionResetError("connection reset by peer")
-        piece = bytes(self._waiting[: min(limit_bytes, self._piece_bytes)])
+        piece = bytes(self._waiting[: min(limit_bytes, READ_BYTES)])
         del self._waiting[: len(piece)]
         if piece:
             self._changed.set()
@@ -63,7 +63,7 @@ class _Line:
         """Wait for a piece, or for the end."""
         while not self._waiting and not self.is_ended:
             await self._changed.wait()
-        return self.read(self._piece_bytes)
+        return self.read(READ_BYTES)
 
     def end(self) -> None:
         """End the stream; waiting bytes are still received."""
@@ -147,9 +147,7 @@ class MemoryTransport:
         self._to_peer.break_off()
 
 
-def memory_pair(
-    *, room_bytes: int = ROOM_BYTES, piece_bytes: int = READ_BYTES, address: str = "memory"
-) -> tuple[MemoryTransport, MemoryTransport]:
-    """Two ends: `room_bytes` may wait unread in each direction, a receive returns `piece_bytes` at most."""
-    one, other = _Line(room_bytes, piece_bytes), _Line(room_bytes, piece_bytes)
+def memory_pair(*, room_bytes: int = ROOM_BYTES, address: str = "memory") -> tuple[MemoryTransport, MemoryTransport]:
+    """Two ends: `room_bytes` may wait unread in each direction."""
+    one, other = _Line(room_bytes), _Line(room_bytes)
     return MemoryTransport(one, other, address=address), MemoryTransport(other, one, address=address)

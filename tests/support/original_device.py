@@ -59,18 +59,14 @@ class OriginalDevice:
         *,
         baud: int | None = 38400,
         retries: bool = True,
-        buffer_bytes: int = DEFAULT_BUFFER_BYTES,
-        clock_rate: float = 1.0,
     ) -> None:
-        """`retries`: with the paper's retry clause; `clock_rate`: seconds that its clock counts in one."""
+        """`retries`: with the paper's retry clause."""
         self.from_host = Uart(baud=baud)
         self.to_host = Uart(baud=baud, ring_bytes=1 << 30)  # the ESP8266 reads at once
         self.is_configured = False
         self.dropped_frames = 0
         self.frames = 0
         self._retries = retries
-        self._clock_rate = clock_rate
-        self._buffer_bytes = buffer_bytes
         self._from_device: list[TopicInfo] = []
         self._to_device: list[tuple[TopicInfo, Callable[[bytes], None]]] = []
         self._parameter: Callable[[Parameter], None] | None = None
@@ -86,25 +82,25 @@ class OriginalDevice:
 
     # -- the program's side -------------------------------------------------------------------------------------------
 
-    def advertise(self, name: str, type_name: str, md5: str, *, kind: Id = Id.PUBLISHER) -> int:
+    def advertise(self, name: str, type_name: str, md5: str) -> int:
         """Announce something that the device sends; returns its id."""
         topic_id = FIRST_TOPIC_ID + MAX_SUBSCRIBERS + len(self._from_device)
-        self._from_device.append(TopicInfo(kind, topic_id, name, type_name, md5, self._buffer_bytes))
+        self._from_device.append(TopicInfo(Id.PUBLISHER, topic_id, name, type_name, md5, DEFAULT_BUFFER_BYTES))
         return topic_id
 
-    def subscribe(
-        self, name: str, type_name: str, md5: str, callback: Callable[[bytes], None], *, kind: Id = Id.SUBSCRIBER
-    ) -> int:
+    def subscribe(self, name: str, type_name: str, md5: str, callback: Callable[[bytes], None]) -> int:
         """Announce a topic that the device subscribes to; returns its id."""
         topic_id = FIRST_TOPIC_ID + len(self._to_device)
-        self._to_device.append((TopicInfo(kind, topic_id, name, type_name, md5, self._buffer_bytes), callback))
+        self._to_device.append(
+            (TopicInfo(Id.SUBSCRIBER, topic_id, name, type_name, md5, DEFAULT_BUFFER_BYTES), callback)
+        )
         return topic_id
 
     def publish(self, topic_id: int, payload: bytes, now_s: float) -> bool:
         """Send a message; False when it is dropped: not configured, or over the buffer."""
         if topic_id >= FIRST_TOPIC_ID and not self.is_configured:
             return False
-        if len(payload) + OVERHEAD_BYTES > self._buffer_bytes:
+        if len(payload) + OVERHEAD_BYTES > DEFAULT_BUFFER_BYTES:
             return False
         self.to_host.send(encode(topic_id, payload), now_s)
         return True
@@ -203,8 +199,8 @@ class OriginalDevice:
             case Mode.TOPIC_HIGH:
                 self._topic_id += byte << 8
                 self._mode = Mode.MESSAGE if self._size else Mode.MESSAGE_CHECKSUM
-                if self._size > self._buffer_bytes:
-                    raise DeviceCrashed(f"a message of {self._size} bytes into a buffer of {self._buffer_bytes}")
+                if self._size > DEFAULT_BUFFER_BYTES:
+                    raise DeviceCrashed(f"a message of {self._size} bytes into a buffer of {DEFAULT_BUFFER_BYTES}")
 
     def _drop_frame(self) -> None:
         self._mode = Mode.FIRST_FF
@@ -257,4 +253,4 @@ class OriginalDevice:
             answer(parameter)
 
     def _ms(self, now_s: float) -> int:
-        return math.floor(now_s * self._clock_rate * 1000 + 1e-6)
+        return math.floor(now_s * 1000 + 1e-6)

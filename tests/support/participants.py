@@ -28,6 +28,7 @@ from hostlink.hub.subscription import Subscription
 from hostlink.messages.message_type import ServiceType
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.memory_hub import running
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
 
@@ -136,10 +137,7 @@ class Program:
 class RosbridgeProgram:
     """A program at the other end of a WebSocket, with JSON in both directions."""
 
-    def __init__(
-        self, hub: Hub, name: str, tasks: asyncio.TaskGroup, role: Role, *, level: str | None = "error"
-    ) -> None:
-        """`level`: of the status that it wants; None: it does not say."""
+    def __init__(self, hub: Hub, name: str, tasks: asyncio.TaskGroup, role: Role) -> None:
         self.is_failing = False
         self.queue: ClientQueue = ClientQueue()
         self.queue._size_of = self._size_of
@@ -149,8 +147,7 @@ class RosbridgeProgram:
         self._answers: dict[str, asyncio.Future[Mapping[str, Any]]] = {}
         self._tasks = tasks
         self._received: list[bytes] = []
-        if level is not None:
-            self.send(op="set_level", level=level)
+        self.send(op="set_level", level="error")
 
     @property
     def participant(self) -> Participant:
@@ -382,9 +379,8 @@ class Scene:
     and itself must be there at the end.
     """
 
-    def __init__(self, tasks: asyncio.TaskGroup) -> None:
-        self.tasks = tasks
-        self.hub = Hub(Config(), CATALOG)
+    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
+        self.hub, self.tasks = hub, tasks
         self.neighbour_heard: list[bytes] = []
 
     async def begin(self) -> None:
@@ -438,18 +434,12 @@ class Scene:
 @contextlib.asynccontextmanager
 async def scene() -> AsyncIterator[Scene]:
     with capture_logs():
-        async with asyncio.TaskGroup() as tasks:
-            made = Scene(tasks)
-            running = tasks.create_task(made.hub.run())
-            await made.hub.is_running.wait()
-            try:
-                await made.begin()
-                yield made
-                await made.neighbour_works()
-            finally:
-                for task in asyncio.all_tasks() - {asyncio.current_task()}:
-                    task.cancel()
-                running.cancel()
+        hub = Hub(Config(), CATALOG)
+        async with running(hub) as tasks:
+            made = Scene(hub, tasks)
+            await made.begin()
+            yield made
+            await made.neighbour_works()
 
 
 def play(test: Callable[[Scene], Awaitable[None]]) -> None:

@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import aiohttp
+
 from tests.support import workers
 from tests.support.fork_server import Child, start
 from tests.support.waiting import TIMEOUT_S, expect
@@ -111,6 +113,20 @@ class Process:
         started = await self.read_log("daemon.started")
         host, _, port = (started["tcp"] or ":0").rpartition(":")
         self.tcp, self.url = (host, int(port)), started["api"]
+
+    async def get(self, path: str) -> Any:
+        """The JSON of a GET that must succeed."""
+        return await self._request("GET", path)
+
+    async def post(self, path: str, body: object = None) -> Any:
+        """The JSON of a POST that must succeed."""
+        return await self._request("POST", path, body)
+
+    async def _request(self, method: str, path: str, body: object = None) -> Any:
+        async with aiohttp.ClientSession() as session, session.request(method, self.url + path, json=body) as response:
+            answer = await response.json()
+            assert response.status == 200, answer
+            return answer
 
     def is_running(self) -> bool:
         """Whether the process is there."""

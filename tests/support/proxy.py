@@ -9,6 +9,12 @@ READ_BYTES = 65536
 GATHER_S = 0.2
 
 
+def address_of(url: str) -> tuple[str, int]:
+    """Host and port of a URL."""
+    host, _, port = url.removeprefix("http://").partition(":")
+    return host, int(port)
+
+
 class Line(Enum):
     """State of the line."""
 
@@ -90,9 +96,9 @@ async def _gather(reader: asyncio.StreamReader) -> bytes:
 
 
 @contextlib.asynccontextmanager
-async def proxy(target: tuple[str, int]) -> AsyncIterator[Proxy]:
-    """A proxy to the target, on a port of its own."""
-    new = Proxy(target)
+async def proxy(target: tuple[str, int] | str) -> AsyncIterator[Proxy]:
+    """A proxy to an address or a URL, on a port of its own."""
+    new = Proxy(address_of(target) if isinstance(target, str) else target)
     server = await asyncio.start_server(new.serve, "127.0.0.1", 0)
     new.url = "http://{}:{}".format(*server.sockets[0].getsockname()[:2])
     try:

@@ -56,7 +56,7 @@ REQUIREMENTS = (
     _apt("systemd-analyze", "systemd", "tests/system/test_service.py"),
     _apt("tmux ps", "tmux procps", *(
         f"tests/system/{name}.py" for name in (
-            "test_first_hour", "test_program_ends", "test_setup", "test_step", "test_teleop", "test_teleop_refusal",
+            "test_first_hour", "test_program_ends", "test_setup", "test_step", "test_teleop",
             "test_top", "test_topic_commands", "zenoh/test_fleet_views",
         )
     )),

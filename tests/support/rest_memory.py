@@ -19,6 +19,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.reloader import Read, Reloader
 from hostlink.protocol.control import TopicInfo
 from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
 
@@ -84,13 +85,6 @@ async def rest_memory(
     `drives` is the log of drives; `read` returns the settings of a reload.
     """
     made = RestMemory(robot_topics(ROBOT) if topics is None else topics, drives, read)
-    async with asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(made.hub.run())
-        await made.hub.is_running.wait()
-        try:
-            await made.begin(settle_s)
-            yield made
-        finally:
-            for task in asyncio.all_tasks() - {asyncio.current_task()}:
-                task.cancel()
-            running.cancel()
+    async with running(made.hub):
+        await made.begin(settle_s)
+        yield made

@@ -88,9 +88,9 @@ class Ros2Peer:
 
 
 @contextlib.asynccontextmanager
-async def ros2_peer(address: str, *, domain: int = 0, mode: str = "peer") -> AsyncIterator[Ros2Peer]:
+async def ros2_peer(address: str, *, mode: str = "peer") -> AsyncIterator[Ros2Peer]:
     """A node of zenoh-ros2-sdk that is connected to this address."""
-    words = ("--connect", address, "--domain", str(domain), "--mode", mode)
+    words = ("--connect", address, "--mode", mode)
     process = await start(*words, program=PEER, given=None, stdout=PIPE)
     peer = Ros2Peer(process)
     try:
@@ -105,21 +105,12 @@ async def ros2_peer(address: str, *, domain: int = 0, mode: str = "peer") -> Asy
 class Talker:
     """A publisher as rmw_zenoh_cpp declares one: token, then data that is signed by the token's hash."""
 
-    def __init__(
-        self,
-        session: Any,
-        topic: str,
-        type_key: str,
-        *,
-        node: str = "talker",
-        number: int = 1,
-        is_latched: bool = False,
-    ) -> None:
+    def __init__(self, session: Any, topic: str, type_key: str, *, is_latched: bool = False) -> None:
         """`type_key`: the two last parts of the key; `is_latched`: its durability is transient local, of depth 1."""
         qos = ":1:,1:,:,:,," if is_latched else "::,10:,:,:,,"
         self.key = f"0/{topic.strip('/')}/{type_key}"
         mangled = topic.replace("/", "%")
-        token = f"@ros2_lv/0/{session.info.zid()}/0/{number}/MP/%/%/{node}/{mangled}/{type_key}/{qos}"
+        token = f"@ros2_lv/0/{session.info.zid()}/0/1/MP/%/%/talker/{mangled}/{type_key}/{qos}"
         digest = xxhash.xxh3_128(token.encode())
         low, high = digest.intdigest() & (2**64 - 1), digest.intdigest() >> 64
         self.gid = struct.pack("<QQ", low, high)
@@ -163,11 +154,11 @@ def twist(linear_m_s: float) -> bytes:
 
 
 @contextlib.asynccontextmanager
-async def zenoh_session(*addresses: str, mode: str = "peer") -> AsyncIterator[Any]:
+async def zenoh_session(*addresses: str) -> AsyncIterator[Any]:
     """A session of Zenoh in the test's own process, connected to these addresses."""
     config = zenoh.Config()
     for key, value in {
-        "mode": mode,
+        "mode": "peer",
         "connect/endpoints": [f"tcp/{address}" for address in addresses],
         "scouting/multicast/enabled": False,
         "listen/endpoints": [],

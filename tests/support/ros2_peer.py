@@ -22,8 +22,7 @@ from rcl_interfaces.srv import (
 )
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
+from rclpy.parameter import get_parameter_value, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 _LOCK = threading.Lock()
@@ -161,16 +160,6 @@ class Peer:
         }
         write(event="ends", topic=topic, **found)
 
-    def get_parameters(self, request: dict[str, Any]) -> None:
-        client = AsyncParameterClient(self.node, request["node"], callback_group=self.group)
-        client.wait_for_services(timeout_sec=10.0)
-        client.get_parameters(request["names"]).add_done_callback(
-            lambda future: write(
-                event="parameters",
-                values=[plain(rclpy.parameter.parameter_value_to_python(value)) for value in future.result().values],
-            )
-        )
-
     def param(self, request: dict[str, Any]) -> None:
         """Call and write as `ros2 param VERB NODE ...` does, by the sources of ros2param (ros2cli, Kilted)."""
         verb, node, names = request["verb"], request["node"], request.get("names", [])
@@ -206,14 +195,6 @@ class Peer:
         done.wait()
         self.node.destroy_client(client)
         return pending.result()
-
-    def set_parameter(self, request: dict[str, Any]) -> None:
-        client = AsyncParameterClient(self.node, request["node"], callback_group=self.group)
-        client.wait_for_services(timeout_sec=10.0)
-        parameter = Parameter(request["name"], value=request["value"])
-        client.set_parameters([parameter]).add_done_callback(
-            lambda future: write(event="parameter_set", is_right=future.result().results[0].successful)
-        )
 
 
 def main() -> None:

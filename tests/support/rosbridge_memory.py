@@ -14,6 +14,7 @@ from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
+from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG
 
 
@@ -57,14 +58,9 @@ class World:
 
 @contextlib.asynccontextmanager
 async def world() -> AsyncIterator[World]:
-    """Run a world within the block. Waiting tasks are cancelled at its end."""
-    async with asyncio.TaskGroup() as tasks:
-        made = World(tasks)
-        try:
-            yield made
-        finally:
-            for task in asyncio.all_tasks() - {asyncio.current_task()}:
-                task.cancel()
+    """Run a world within the block."""
+    async with cancelling() as tasks:
+        yield World(tasks)
 
 
 async def call(peer: Peer, service: str, args: object = None, **more: Any) -> Any:

@@ -9,16 +9,16 @@ import errno
 import os
 import socket
 import struct
-import termios
 import time
-import tty
 from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.background import meanwhile
 from tests.support.fake_device import robot_topics, topic
+from tests.support.pty_pair import pty_pair
 from tests.support.ros_lib_reader import RosLibReader
 from tests.support.waiting import TIMEOUT_S, expect
 
@@ -114,44 +114,32 @@ class UnwatchedRobot:
 
 @contextlib.asynccontextmanager
 async def robot_on_tcp(
-    address: tuple[str, int], name: str, reading: Reading | None = None
+    address: tuple[str, int], name: str, reading: Reading | None = None, *, kind: int = socket.SOCK_STREAM
 ) -> AsyncIterator[UnwatchedRobot]:
     """Connected for the length of the block."""
     reading = reading or Reading()
     robot = UnwatchedRobot(name, reading)
-    with socket.socket() as connection:
+    with socket.socket(type=kind) as connection:
         if reading.with_blobs:  # a small window, so that the daemon often waits in the middle of a frame
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         connection.connect(address)
         connection.setblocking(False)
+        if kind == socket.SOCK_DGRAM:
+            connection.send(encode(Id.TIME, bytes(8)))  # by this the daemon knows of it
         async with meanwhile(robot.read(connection.fileno())):
             yield robot
 
 
-@contextlib.asynccontextmanager
-async def robot_on_udp(address: tuple[str, int], name: str) -> AsyncIterator[UnwatchedRobot]:
+def robot_on_udp(address: tuple[str, int], name: str) -> AbstractAsyncContextManager[UnwatchedRobot]:
     """Run a robot within the block. It begins with a time request."""
-    robot = UnwatchedRobot(name, Reading())
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
-        connection.connect(address)
-        connection.setblocking(False)
-        connection.send(encode(Id.TIME, bytes(8)))
-        async with meanwhile(robot.read(connection.fileno())):
-            yield robot
+    return robot_on_tcp(address, name, kind=socket.SOCK_DGRAM)
 
 
 @contextlib.asynccontextmanager
-async def robot_on_pty(name: str, reading: Reading | None = None) -> AsyncIterator[tuple[UnwatchedRobot, str]]:
+async def robot_on_pty(name: str) -> AsyncIterator[tuple[UnwatchedRobot, str]]:
     """(robot, path of its port) for the length of the block; the port vanishes at its end."""
-    robot = UnwatchedRobot(name, reading or Reading())
-    ours, theirs = os.openpty()
-    for end in (ours, theirs):
-        tty.setraw(end, termios.TCSANOW)
-    os.set_blocking(ours, False)
-    path = os.ttyname(theirs)
-    try:
+    robot = UnwatchedRobot(name, Reading())
+    with pty_pair() as (ours, path):
+        os.set_blocking(ours, False)
         async with meanwhile(robot.read(ours)):
             yield robot, path
-    finally:
-        os.close(ours)
-        os.close(theirs)

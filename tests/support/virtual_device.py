@@ -66,7 +66,6 @@ class NumberedRobot:
         self.commands: list[tuple[float, bytes]] = []
         self._turns = 0
         self._now_s = 0.0
-        self._is_done_spinning = False
         types = [catalog.message(name) for name in ("geometry_msgs/Pose2D", "geometry_msgs/Twist")]
         pose, twist = (type_ for type_ in types if type_ is not None)
         self._odometry = self.device.advertise("/robot_0/odometry", pose.name, pose.md5)

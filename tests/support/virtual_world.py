@@ -91,11 +91,9 @@ def command(hub: Hub, number: int) -> bool:
 
 
 @contextlib.asynccontextmanager
-async def world(
-    script: Script, program: Program, *, loop_s: float = 1 / 30, uart_bytes_s: int | None = 3840
-) -> AsyncIterator[World]:
+async def world(script: Script, program: Program, *, loop_s: float = 1 / 30) -> AsyncIterator[World]:
     """For the length of the block, in the loop that runs it."""
-    hub = Hub(Config(link=LinkConfig(uart_bytes_s=uart_bytes_s)), CATALOG, reraises=True)
+    hub = Hub(Config(link=LinkConfig(uart_bytes_s=3840)), CATALOG, reraises=True)
     taps: list[Tap] = []
     passages: list[asyncio.Task[None]] = []
     now_s = asyncio.get_running_loop().time

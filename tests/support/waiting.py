@@ -34,9 +34,9 @@ async def expect_never(is_so: Callable[[], object], *, for_s: float) -> None:
         raise AssertionError(f"within {for_s:g} s: {_text(is_so)}")
 
 
-async def is_soon(measure: Callable[[], Awaitable[float]], limit: float, *, tries: int = 3) -> bool:
+async def is_soon(measure: Callable[[], Awaitable[float]], limit: float) -> bool:
     """Whether one of a few measurements stays below the limit: other tests may use the processor at the same time."""
-    for _ in range(tries):
+    for _ in range(3):
         if await measure() < limit:
             return True
     return False

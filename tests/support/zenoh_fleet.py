@@ -69,8 +69,8 @@ def port_of(host: Daemon) -> int:
 
 
 @contextlib.asynccontextmanager
-async def joined(port: int, name: str, config: Config | None = None, **settings: Any) -> AsyncIterator[Daemon]:
+async def joined(port: int, name: str, **settings: Any) -> AsyncIterator[Daemon]:
     """One more daemon, which connects to that port."""
-    own = replace(Config() if config is None else config, zenoh=zenoh(name, free_port(), port, **settings))
+    own = Config(zenoh=zenoh(name, free_port(), port, **settings))
     async with daemon(own) as host:
         yield host

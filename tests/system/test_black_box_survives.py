@@ -95,15 +95,15 @@ async def test_a_daemon_killed_while_driving_leaves_an_incident_with_its_last_se
         await check_incident(tmp_path)
     else:
         assert remains.of_process(daemon.pid)
-    async with serve(*words) as successor, aiohttp.ClientSession() as session:
+    async with serve(*words) as successor:
         if not has_guardian:
             saved = await successor.logged("incident.saved")
             assert (saved["robot"], saved["cause"]) == ("robot_0", "daemon_died")
         await check_incident(tmp_path)
         assert remains.of_process(daemon.pid) == []
-        (incident,) = (await get(session, successor, "/api/incidents"))["incidents"]
+        (incident,) = (await successor.get("/api/incidents"))["incidents"]
         assert (incident["robot"], incident["cause"]) == ("robot_0", "daemon_died")
-        (drive,) = (await get(session, successor, "/api/drives"))["drives"]
+        (drive,) = (await successor.get("/api/drives"))["drives"]
         assert (drive["robot"], drive["end"]) == ("robot_0", "the daemon died")
         assert drive["began"] < drive["ended"]
         assert await successor.end(signal.SIGTERM) == 0
@@ -115,11 +115,10 @@ async def test_daemon_killed_while_no_source_drives_leaves_only_the_pending_inci
         serve(*settings(tmp_path)) as daemon,
         fake_device(daemon.tcp, robot_topics()) as device,
         repeating(device, pose(1.0), interval_s=0.02),
-        aiohttp.ClientSession() as session,
     ):
         await daemon.read_log("robot.appeared")
         await asyncio.sleep(0.5)
-        await post(session, daemon, "/api/robots/robot_0/lock", {"reason": "a hand in the wheel"})
+        await daemon.post("/api/robots/robot_0/lock", {"reason": "a hand in the wheel"})
         os.kill(daemon.pid, signal.SIGKILL)
         await expect(lambda: incident_files(tmp_path), timeout_s=WRITTEN_S)
         await expect(lambda: not remains.of_process(daemon.pid), timeout_s=WRITTEN_S)
@@ -138,27 +137,27 @@ async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses
         began_s = time.monotonic()
         assert await idle.end(signal.SIGTERM) == 0
         idle_s = time.monotonic() - began_s
-    async with serve(*words) as daemon, aiohttp.ClientSession() as session, asyncio.TaskGroup() as tasks:
+    async with serve(*words) as daemon, asyncio.TaskGroup() as tasks:
         begin = asyncio.Event()
         for name in names:
             tasks.create_task(flood(daemon, name, begin))
         for _ in names:
             await daemon.read_log("robot.appeared")
-        await expect_topics(session, daemon, names, lambda each: each["subscribers"] >= 2)  # robot, black box
+        await expect_topics(daemon, names, lambda each: each["subscribers"] >= 2)  # robot, black box
         begin.set()
-        await expect_topics(session, daemon, names, lambda each: each["messages"] == POSES)
+        await expect_topics(daemon, names, lambda each: each["messages"] == POSES)
         for name in names:
-            await post(session, daemon, f"/api/robots/{name}/lock", {"reason": "all at once"})
+            await daemon.post(f"/api/robots/{name}/lock", {"reason": "all at once"})
         for number in range(MAX_REQUESTED):
-            await post(session, daemon, "/api/incidents", {"robot": names[number % len(names)]})
+            await daemon.post("/api/incidents", {"robot": names[number % len(names)]})
         began_s = time.monotonic()
         assert await daemon.end(signal.SIGTERM) == 0
         lasted_s = time.monotonic() - began_s
     print(f"end: {idle_s:.2f} s with nothing pending, {lasted_s:.2f} s")  # noqa: T201
     assert lasted_s < idle_s + 1.4  # the robots' last zeros take 0.15 of it, the incidents 0.6
-    async with serve(*words) as successor, aiohttp.ClientSession() as session:
+    async with serve(*words) as successor:
         await expect(lambda: len(incident_files(tmp_path)) == len(names) + MAX_REQUESTED, timeout_s=60)
-        found = (await get(session, successor, "/api/incidents"))["incidents"]
+        found = (await successor.get("/api/incidents"))["incidents"]
         assert [each["cause"] for each in found].count("locked") == len(names)
     for file in incident_files(tmp_path):
         reader = McapReader(file)
@@ -177,24 +176,12 @@ async def flood(daemon: Process, name: str, begin: asyncio.Event) -> None:
         await device.closed()
 
 
-async def expect_topics(
-    session: aiohttp.ClientSession, daemon: Process, names: list[str], is_so: Callable[[dict[str, Any]], bool]
-) -> None:
+async def expect_topics(daemon: Process, names: list[str], is_so: Callable[[dict[str, Any]], bool]) -> None:
     """Wait until the topics of all robots' poses are as wanted."""
     async with asyncio.timeout(60):
         while True:
-            listed = {each["name"]: each for each in (await get(session, daemon, "/api/topics"))["topics"]}
+            listed = {each["name"]: each for each in (await daemon.get("/api/topics"))["topics"]}
             poses = [listed.get(f"/{name}/odometry") for name in names]
             if all(each is not None and is_so(each) for each in poses):
                 return
             await asyncio.sleep(0.02)
-
-
-async def get(session: aiohttp.ClientSession, daemon: Process, path: str) -> Any:
-    async with session.get(daemon.url + path) as response:
-        return await response.json()
-
-
-async def post(session: aiohttp.ClientSession, daemon: Process, path: str, body: dict[str, str]) -> None:
-    async with session.post(daemon.url + path, json=body) as response:
-        assert response.status == 200, await response.text()

@@ -72,8 +72,7 @@ async def test_snippet_about_a_cut_reports_the_loss_and_the_return() -> None:
     async with daemon() as host, simulated_robot(host.tcp, kind=RobotKind.NIMBLE):
         await expect(host.hub.robots.all)
         now_s = asyncio.get_running_loop().time
-        address, _, port = host.url.removeprefix("http://").partition(":")
-        async with proxy((address, int(port))) as line, asyncio.TaskGroup() as tasks:
+        async with proxy(host.url) as line, asyncio.TaskGroup() as tasks:
             running = tasks.create_task(run(snippet, line.url))
             robot = host.hub.robots.find("robot_0")
             await expect(lambda: robot.gate.counts.commands > 1)  # the client repeats after the answer of the first one

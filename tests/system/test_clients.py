@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 
 from hostlink.config import ApiConfig, Config, RecordingConfig
 from hostlink.robot.velocity import PlanarVelocity, Twist
-from tests.support.daemon import Daemon, daemon
-from tests.support.proxy import Line, proxy
+from tests.support.daemon import daemon
+from tests.support.proxy import Line, address_of, proxy
 from tests.support.simulated import simulated_robot
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect
@@ -25,21 +25,16 @@ EXAMPLES = "node_modules/@foxglove/ws-protocol-examples/dist/cjs/ws-protocol-exa
 ODOMETRY = ["header", "child_frame_id", "pose", "twist"]
 
 
-def address_of(host: Daemon) -> tuple[str, int]:
-    name, _, port = host.url.removeprefix("http://").partition(":")
-    return name, int(port)
-
-
 async def run(*command: str) -> Any:
     """Return what a program has seen of a daemon with a simulated robot, through a line that is cut."""
     async with (
         daemon() as host,
-        proxy(address_of(host)) as line,
+        proxy(host.url) as line,
         simulated_robot(host.tcp),
         asyncio.timeout(TIMEOUT_S),
     ):
         address = (
-            [line.url.replace("http", "ws")] if command[0] == "node" else line.url.removeprefix("http://").split(":")
+            [line.url.replace("http", "ws")] if command[0] == "node" else [str(part) for part in address_of(line.url)]
         )
         program = await asyncio.create_subprocess_exec(
             command[0], command[1], *address, *command[2:], cwd=CLIENTS,
@@ -168,7 +163,7 @@ async def test_foxglove_reads_a_recording_over_ranges_and_decodes_every_channel(
     config = Config(api=api, recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
     async with daemon(config) as host, simulated_robot(host.tcp), asyncio.timeout(TIMEOUT_S):
         assert (await host.rest("POST", "/api/recordings", b'{"name": "run"}'))[0] == 200
-        await asyncio.sleep(1.5)
+        await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages > 10)
         status, view = await host.rest("POST", "/api/recordings/run/stop")
         assert status == 200, view
         program = await asyncio.create_subprocess_exec(
@@ -191,7 +186,7 @@ async def test_foxglove_mcap_record_records_every_channel(line_is: Line, tmp_pat
     path = tmp_path / "run.mcap"
     async with (
         daemon() as host,
-        proxy(address_of(host)) as line,
+        proxy(host.url) as line,
         simulated_robot(host.tcp),
         asyncio.timeout(TIMEOUT_S),
     ):

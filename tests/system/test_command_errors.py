@@ -69,12 +69,40 @@ run_until_interrupted(work())
         ),
         ("plot x.mcap", "plot: name fields, for example /robot_0/odometry.x, or use --map\n"),
         ("plot x.mcap /x.y --map", "plot: --map draws paths instead of fields; leave the fields or --map out\n"),
+        ("serve --listen nonsense", "--listen: 'nonsense' is not HOST:PORT"),
+        ("serve --serial /dev/x@fast", "--serial: '/dev/x@fast' is not PORT or PORT@BAUD"),
+        ("serve --config /none.toml", "/none.toml: No such file or directory"),
+        ("serve --log-level loud", "--log-level: unknown value 'loud'; choose debug, info, warning or error"),
+        ("serve --loop trio", "--loop: unknown value 'trio'; choose auto, asyncio or uvloop\n"),
+        ("teleop --layout dvorak", "--layout: unknown value 'dvorak'; choose original or twist"),
+        ("pub /x {", "MESSAGE: cannot be read: } is missing at the end; write it as "),
+        ('call /x "a:b"', "REQUEST: is not an object with fields"),
+        ("step robot_0", "--yes: the robot will move, and this command cannot ask"),
+        ("step robot_0 --json", "--yes: the robot will move"),
+        ("step robot_0 --yes --speed 0", "--speed: 0 m/s is outside 0.02 to 2 m/s"),
+        ("step robot_0 --yes --speed nan", "step: the value of --speed is wrong: nan is not a n"),
+        ("step robot_0 --yes --send", "--send: sends the gains that --tune computes; add --tune"),
+        ("step robot_0 --yes --tune --seconds 9", "--seconds: cannot be combined with --tune"),
+        ("step robot_0 --yes --picture step.gif", "--picture: step.gif must end in one of"),
     ],
 )
 async def test_wrong_arguments_are_one_line_and_status_2(line: str, complaint: str) -> None:
     status, out, errors = await run(*line.split())
     assert (status, out, errors.count("\n")) == (2, "", 1)
     assert errors.startswith(f"hostlink: {complaint}")
+
+
+@pytest.mark.parametrize("line", ["topics", "teleop", "drive robot_0", "doctor", "step robot_0 --yes"])
+async def test_a_daemon_that_is_not_there_is_one_line_and_status_1(line: str) -> None:
+    status, out, errors = await run(*line.split(), "--url", "http://127.0.0.1:1")
+    assert (status, out, errors.count("\n")) == (1, "", 1)
+    assert errors.startswith("hostlink: no hostlink at http://127.0.0.1:1: is `hostlink serve`")
+
+
+async def test_a_file_that_is_not_there_is_one_line_and_status_1() -> None:
+    status, out, errors = await run("inspect", "/none.jsonl")
+    assert (status, out, errors.count("\n")) == (1, "", 1)
+    assert errors.startswith("hostlink: /none.jsonl: No such file or directory")
 
 
 async def test_the_command_alone_shows_the_first_screen() -> None:

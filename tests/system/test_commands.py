@@ -10,12 +10,15 @@ from pathlib import Path
 import pytest
 
 from hostlink.protocol.frame import Id, encode
+from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, service_server, topic
 from tests.support.process import HOSTLINK, run, serve, simulated
+from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import TIMEOUT_S
 
 LED = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
 TRIGGER = service_server("/trigger", "std_srvs/Trigger", 125, 101)
+STOP_S = 0.6  # a lease, and a turn of the gate
 
 
 async def test_topics_echo_pub_and_call() -> None:
@@ -35,21 +38,6 @@ async def test_topics_echo_pub_and_call() -> None:
             await device.frame(101)
             await device.send(encode(125, success + b"\x02\x00\x00\x00ok"))
             assert await calling == (0, f'{{"success": {printed}, "message": "ok"}}\n', "")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (["pub", "/led", "std_msgs/Int32", "{}"], "/led: wanted std_msgs/Bool, got std_msgs/Int32"),
-        (["call", "/nope"], "no service named /nope"),
-    ],
-)
-async def test_a_refusal_is_one_line_and_status_1(arguments: list[str], complaint: str) -> None:
-    async with serve() as daemon, fake_device(daemon.tcp, LED):
-        status, out, err = await run(*arguments, "--url", daemon.url)
-    assert (status, out) == (1, "")
-    assert complaint in err
-    assert len(err.splitlines()) == 1
 
 
 @contextlib.asynccontextmanager
@@ -82,9 +70,11 @@ async def test_a_program_that_ends_in_any_way_stops_the_robot(number: signal.Sig
         fake_device(daemon.tcp, robot_topics()) as device,
         driving_with_pub(daemon.url, device) as child,
     ):
-        child.send_signal(number)
-        async with asyncio.timeout(0.6):
+        watch = Stopwatch(daemon.pid, child.pid)
+        async with meanwhile(watch.sampling()):
+            child.send_signal(number)
             assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
+            assert watch.seconds < STOP_S
 
 
 async def test_demo_drives_its_robot_and_ends_cleanly() -> None:
@@ -136,9 +126,3 @@ async def test_a_guarded_daemon_requires_a_token_of_the_commands(tmp_path: Path)
         await daemon.read_log("daemon.stopped")
         assert "client.closed" in json.dumps(daemon.log)
         assert secret not in json.dumps(daemon.log)
-
-
-async def test_serve_without_a_token_refuses_to_be_open_to_the_network() -> None:
-    status, _, complaint = await run("serve", "--api", "0.0.0.0:0", "--listen", "127.0.0.1:0")
-    assert (status, complaint.count("\n")) == (2, 1)
-    assert "[[api.tokens]]" in complaint

@@ -4,22 +4,18 @@ import asyncio
 import contextlib
 import os
 import signal
-import socket
 import struct
-import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import aiohttp
 import pytest
 
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.frame import Id
 from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics
-from tests.support.process import HOSTLINK, Process, serve
-from tests.support.pty_pair import pty_pair
+from tests.support.process import HOSTLINK, Process, free_port, serve
+from tests.support.pty_pair import pty_pair, pty_streams
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import TIMEOUT_S
 
@@ -46,13 +42,19 @@ async def driven(daemon: Process, rate_hz: float) -> AsyncIterator[None]:
         yield
 
 
-async def velocities_to_the_end(device: FakeDevice) -> list[tuple[float, float]]:
-    """Every velocity up to the request to fall silent, which must come last."""
+async def velocities_to_the_stop(device: FakeDevice) -> list[tuple[float, float]]:
+    """Every velocity up to the request to fall silent."""
     found = []
     while (frame := await device.next()).topic_id != Id.STOP:
         if frame.topic_id == 100:
             twist = struct.unpack("<6d", frame.payload)
             found.append((twist[0], twist[5]))
+    return found
+
+
+async def velocities_to_the_end(device: FakeDevice) -> list[tuple[float, float]]:
+    """Every velocity up to the request to fall silent, after which the link must end."""
+    found = await velocities_to_the_stop(device)
     with pytest.raises((EOFError, ConnectionError)):
         await device.next()
     return found
@@ -74,12 +76,15 @@ async def test_a_robot_that_is_driven_while_the_daemon_ends_receives_zero_last(
 ) -> None:
     async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, driven(daemon, rate_hz):
         assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
-        daemon.child.send_signal(number)
-        sent = await velocities_to_the_end(device)
+        watch = Stopwatch(daemon.pid)
+        async with meanwhile(watch.sampling()):
+            daemon.child.send_signal(number)
+            sent = await velocities_to_the_end(device)
+            assert await daemon.child.wait() == 0
+        assert watch.seconds < 1.0
         assert sent[-3:] == [ZERO, ZERO, ZERO]
         first = sent.index(ZERO)
         assert set(sent[first:]) == {ZERO}  # from the first zero on nothing moves it
-        assert await daemon.child.wait() == 0
         line = await daemon.read_log("daemon.stop_requested")
         assert line["cause"] == number.name
 
@@ -97,63 +102,16 @@ async def test_a_second_signal_during_the_farewell_does_not_shorten_it() -> None
 # -- a device on a serial port ----------------------------------------------------------------------------------------
 
 
-class SerialRobot:
-    """The device's end of a pseudo terminal."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._stream = FrameStream()
-        self._frames: list[Frame] = []
-        os.set_blocking(descriptor, False)
-
-    async def frame(self) -> Frame | None:
-        """The next frame; None after a tenth of a second without one."""
-        end_s = time.monotonic() + 0.1
-        while time.monotonic() < end_s:
-            with contextlib.suppress(BlockingIOError):
-                items = self._stream.feed(os.read(self._descriptor, 4096))
-                self._frames += [item for item in items if isinstance(item, Frame)]
-            if self._frames:
-                return self._frames.pop(0)
-            await asyncio.sleep(0.002)
-        return None
-
-    async def announce(self) -> None:
-        while (frame := await self.frame()) is None or frame.topic_id != Id.PUBLISHER:
-            pass  # it is asked again and again
-        infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in robot_topics())
-        os.write(self._descriptor, encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))
-
-    async def velocity_of(self, linear_m_s: float) -> None:
-        """Read until this velocity arrives."""
-        while (frame := await self.frame()) is None or velocity_in(frame) != linear_m_s:
-            pass  # the test has a time limit
-
-    async def velocities_to_the_end(self) -> list[float]:
-        found = []
-        while (frame := await self.frame()) is None or frame.topic_id != Id.STOP:
-            if frame is not None and (linear_m_s := velocity_in(frame)) is not None:
-                found.append(linear_m_s)
-        return found
-
-
-def velocity_in(frame: Frame) -> float | None:
-    """Return the linear velocity of a frame; None of another message."""
-    return float(struct.unpack("<6d", frame.payload)[0]) if frame.topic_id == 100 else None
-
-
 async def test_a_serial_robot_receives_zero_last_too() -> None:
-    with pty_pair() as (descriptor, path):
-        async with serve("--serial", f"{path}@115200") as daemon, asyncio.timeout(TIMEOUT_S):
-            robot = SerialRobot(descriptor)
-            await robot.announce()
-            await daemon.read_log("robot.appeared")
-            async with driven(daemon, 50):
-                await robot.velocity_of(0.2)
-                daemon.child.send_signal(signal.SIGTERM)
-                sent = await robot.velocities_to_the_end()
-            assert sent[-3:] == [0.0] * 3
-            assert await daemon.child.wait() == 0
+    async with pty_streams() as (reader, writer, path), serve("--serial", f"{path}@115200") as daemon:
+        robot = FakeDevice(reader, writer)
+        await robot.announce(robot_topics())
+        await daemon.read_log("robot.appeared")
+        async with driven(daemon, 50):
+            await robot.velocity_of((0.2, 0.0))
+            daemon.child.send_signal(signal.SIGTERM)
+            assert (await velocities_to_the_stop(robot))[-3:] == [ZERO, ZERO, ZERO]
+        assert await daemon.child.wait() == 0
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.0005, 0.002, 0.01])
@@ -180,7 +138,7 @@ async def test_a_signal_in_the_moment_in_which_a_serial_port_vanishes_ends_the_d
 @contextlib.asynccontextmanager
 async def serve_with_stderr(stderr: int | None, folder: Path, *, shell: str = "") -> AsyncIterator[Process]:
     """A daemon whose log is written to this descriptor, or to the target of the shell's words. Its ports are known."""
-    ports = free_ports(2)
+    ports = (free_port(), free_port())
     config = folder / "hostlink.toml"
     config.write_text(f'[tcp]\nhost = "127.0.0.1"\nport = {ports[0]}\n[api]\nport = {ports[1]}\n')
     words = [HOSTLINK, "serve", "--config", str(config)]
@@ -195,13 +153,6 @@ async def serve_with_stderr(stderr: int | None, folder: Path, *, shell: str = ""
         if child.returncode is None:
             child.kill()
         await child.wait()
-
-
-def free_ports(count: int) -> list[int]:
-    """Return ports that are free now."""
-    with contextlib.ExitStack() as stack:
-        found = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [each.getsockname()[1] for each in found]
 
 
 async def answers(process: Process) -> None:

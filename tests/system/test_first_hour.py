@@ -1,15 +1,17 @@
 """docs/first-hour.md, typed into a terminal as a newcomer does."""
 
 import asyncio
+import re
 import sys
 import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
 from tests.support.process import free_port
 from tests.support.screen import Screen, screen
-from tests.support.transcript import Typed, transcript
 
 pytestmark = [pytest.mark.quiet, pytest.mark.long]
 
@@ -17,6 +19,36 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "first-hour.md"
 VENV = Path(sys.executable).parents[1]
 PATIENCE_S = 20.0
 POLL_S = 0.05
+BLOCK = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@dataclass
+class Typed:
+    """One command, what must show, and the keys that end it."""
+
+    command: str
+    shown: list[str] = field(default_factory=list)
+    keys: list[str] = field(default_factory=list)
+
+    def is_shown(self, text: str) -> bool:
+        """Whether every line of it is there, in this order."""
+        pattern = ".*?".join(re.escape(part) for part in re.split(r"(?:\.\.\.|\s)+", "\n".join(self.shown)) if part)
+        return re.search(pattern, text, re.DOTALL) is not None
+
+
+def transcript(document: str) -> Iterator[Typed]:
+    """The commands of a document, in their order."""
+    for block in BLOCK.findall(document):
+        typed: Typed | None = None
+        for line in block.splitlines():
+            if line.startswith("$ "):
+                if typed is not None:
+                    yield typed
+                typed = Typed(line.removeprefix("$ "))
+            elif typed is not None:
+                (typed.keys if line.startswith("^") else typed.shown).append(line)
+        if typed is not None:
+            yield typed
 
 
 class Shell:

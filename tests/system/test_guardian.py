@@ -17,10 +17,10 @@ import pytest
 from hostlink.robot.admission import LEASE_S
 from tests.support.background import meanwhile
 from tests.support.killing import LIMIT_S, Drive, driving, end_at, guarded_by, guardians_of, killer
-from tests.support.process import HOSTLINK, Process, is_running, serve
+from tests.support.process import HOSTLINK, Process, is_running
 from tests.support.stopwatch import Stopwatch
 from tests.support.unwatched_robot import ZERO, Reading, robot_on_tcp
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 pytestmark = pytest.mark.quiet
 
@@ -146,55 +146,6 @@ async def test_an_orderly_end_is_the_daemons_own_and_the_guardian_writes_nothing
         assert robot.velocities[-1][0] <= robot.stops[0] < ended_s
 
 
-async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots() -> None:
-    async with driving(Reading()) as drive:
-        os.kill(guardian_of(drive.daemon), signal.SIGKILL)
-        ended = await drive.daemon.logged("guardian.ended")
-        assert (ended["level"], ended["status"]) == ("warning", -signal.SIGKILL)
-        await drive.daemon.logged("guardian.started", 2)
-        await wait_for_guardian(drive)
-        await drive.moves()
-        assert await end_at(drive, 0.0, killer(signal.SIGKILL)) <= LIMIT_S
-
-
-async def test_daemon_with_a_stopped_guardian_drives_and_ends_in_order() -> None:
-    async with driving(Reading()) as drive:
-        os.kill(guardian_of(drive.daemon), signal.SIGSTOP)
-        observed = [len(robot.velocities) for robot in drive.robots]
-        await expect(
-            lambda: all(len(robot.velocities) > was + 20 for robot, was in zip(drive.robots, observed, strict=True))
-        )
-        watch = Stopwatch(drive.daemon.pid)
-        async with meanwhile(watch.sampling()):
-            os.kill(drive.daemon.pid, signal.SIGTERM)
-            await drive.robots[1].ended()
-            await drive.daemon.ended()
-        assert watch.seconds < 1.5
-        assert not is_running(guardian_of(drive.daemon))
-
-
-async def test_a_link_that_the_daemon_ends_is_closed_at_once_also_with_a_stopped_guardian(tmp_path: Path) -> None:
-    file = tmp_path / "hostlink.toml"
-    file.write_text(IDLE)
-    async with (
-        serve("--config", str(file)) as daemon,
-        robot_on_tcp(daemon.tcp, "robot_0") as robot,
-    ):
-        await daemon.logged("robot.appeared")
-        await expect(lambda: guarded_by(guardian_of(daemon)) == 1)
-        guardian = guardian_of(daemon)
-        os.kill(guardian, signal.SIGSTOP)
-        try:
-            await daemon.logged("link.closed")
-            closed_s = time.monotonic()
-            await robot.ended()
-            assert robot.ended_at_s is not None
-            assert robot.ended_at_s < closed_s + 0.1
-            assert guarded_by(guardian) == 1  # it still does
-        finally:
-            os.kill(guardian, signal.SIGCONT)  # it ends behind its daemon
-
-
 @contextlib.contextmanager
 def serving_in_terminal(log: Path) -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
     """(the terminal's other end, the daemon), which is the terminal's foreground process as in a shell."""
@@ -218,11 +169,11 @@ async def test_ctrl_c_in_a_terminal_is_the_daemons_alone(tmp_path: Path) -> None
     """The daemon stops the robot, and the guardian, which is of another session, has nothing to write."""
     with serving_in_terminal(tmp_path / "log") as (terminal, started):
         daemon = Process(started, tmp_path / "log")
-        host, _, port = (await daemon.logged("daemon.started"))["tcp"].rpartition(":")
-        async with robot_on_tcp((host, int(port)), "robot_0") as robot:
+        await daemon.has_started()
+        async with robot_on_tcp(daemon.tcp, "robot_0") as robot:
             await expect(lambda: robot.velocities)
             os.write(terminal, b"\x03")
-            assert await asyncio.to_thread(started.wait, 5) == 0
+            assert await asyncio.to_thread(started.wait, TIMEOUT_S) == 0
             ended_s = time.monotonic()
             await robot.ended()
         assert len(robot.stops) == 1
@@ -231,27 +182,14 @@ async def test_ctrl_c_in_a_terminal_is_the_daemons_alone(tmp_path: Path) -> None
         assert not is_running(guardian_of(daemon))
 
 
-async def test_a_lost_terminal_does_not_end_the_guardian(tmp_path: Path) -> None:
-    """All processes of the session get SIGHUP; the daemon is killed before it can act on it."""
-    with serving_in_terminal(tmp_path / "log") as (_, started):
-        daemon = Process(started, tmp_path / "log")
-        host, _, port = (await daemon.logged("daemon.started"))["tcp"].rpartition(":")
-        async with robot_on_tcp((host, int(port)), "robot_0") as robot:
-            await expect(lambda: robot.velocities)
-            os.killpg(started.pid, signal.SIGKILL)
-            await robot.stood()
-        assert len(robot.stops) == 1
-
-
 async def test_a_daemon_without_stdin_has_a_guardian_too(tmp_path: Path) -> None:
     log = tmp_path / "log"
     script = f"exec {HOSTLINK} serve --listen 127.0.0.1:0 --api 127.0.0.1:0 <&- 2>{log}"
     child = await asyncio.create_subprocess_exec("sh", "-c", script)
     daemon = Process(child, log)
     try:
-        started = await daemon.logged("daemon.started")
-        host, _, port = started["tcp"].rpartition(":")
-        async with robot_on_tcp((host, int(port)), "robot_0") as robot:
+        await daemon.has_started()
+        async with robot_on_tcp(daemon.tcp, "robot_0") as robot:
             await daemon.logged("robot.appeared")
             child.kill()
             await robot.stood()

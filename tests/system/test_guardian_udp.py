@@ -9,16 +9,15 @@ import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-import aiohttp
 import pytest
 
 from tests.support.background import meanwhile
-from tests.support.killing import COMMAND_INTERVAL_S, LET_GO_S, LIMIT_S, TRY_S, guardians_of
+from tests.support.killing import LIMIT_S, guardians_of, moving
 from tests.support.process import Process, serve
 from tests.support.stopwatch import Stopwatch
 from tests.support.udp_device import GREETING
 from tests.support.unwatched_robot import ZERO, UnwatchedRobot, robot_on_udp
-from tests.support.waiting import TIMEOUT_S, expect_never, is_true_within
+from tests.support.waiting import expect_never
 
 pytestmark = pytest.mark.quiet
 KILLS = 6
@@ -30,32 +29,20 @@ async def driving(folder: Path, settings: str = SETTINGS) -> AsyncIterator[tuple
     """The robot moves when the block begins, and commands come until the daemon is gone."""
     file = folder / "hostlink.toml"
     file.write_text(settings)
-    async with serve("--config", str(file)) as daemon, aiohttp.ClientSession() as session:
+    async with serve("--config", str(file)) as daemon:
         host, _, port = daemon.lines("daemon.started")[0]["udp"].rpartition(":")
-        async with (
-            robot_on_udp((host, int(port)), "on_udp") as robot,
-            session.ws_connect(daemon.url) as client,
-            asyncio.TaskGroup() as tasks,
-        ):
-            await daemon.logged("robot.appeared")
-            source = tasks.create_task(_command(client))
-            try:
-                async with asyncio.timeout(TIMEOUT_S):
-                    while not await is_true_within(lambda: robot.is_moving, TRY_S):
-                        source.cancel()  # a refused source must let go before it drives again
-                        await asyncio.sleep(LET_GO_S)
-                        source = tasks.create_task(_command(client))
+        async with robot_on_udp((host, int(port)), "on_udp") as robot, contextlib.AsyncExitStack() as greeting:
+            await greeting.enter_async_context(meanwhile(_greet(robot)))
+            async with moving(daemon, robot):
+                await greeting.aclose()
                 yield daemon, robot
-            finally:
-                source.cancel()
 
 
-async def _command(client: aiohttp.ClientWebSocketResponse) -> None:
-    twist = {"linear": {"x": 0.1, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0.5}}
-    with contextlib.suppress(ConnectionError):  # the daemon has ended
-        while True:
-            await client.send_json({"op": "publish", "topic": "/on_udp/velocity_commands", "msg": twist})
-            await asyncio.sleep(COMMAND_INTERVAL_S)
+async def _greet(robot: UnwatchedRobot) -> None:
+    """Keep the session: some settings end it after half a second of silence."""
+    while True:
+        await asyncio.sleep(0.1)
+        os.write(robot.descriptor, GREETING)
 
 
 async def test_without_a_guardian_the_robot_moves_on(tmp_path: Path) -> None:
@@ -82,10 +69,11 @@ async def test_a_killed_daemon_leaves_no_robot_moving(tmp_path: Path, number: si
 
 async def test_a_daemon_that_ends_in_order_stops_it_and_then_says_so(tmp_path: Path) -> None:
     async with driving(tmp_path) as (daemon, robot):
-        began_s = time.monotonic()
-        os.kill(daemon.pid, signal.SIGTERM)
-        await robot.stood(2.0)
-        assert robot.stood_after_s(began_s) <= 1.0
+        began_s, watch = time.monotonic(), Stopwatch(daemon.pid)
+        async with meanwhile(watch.sampling()):
+            os.kill(daemon.pid, signal.SIGTERM)
+            await robot.stood()
+        assert robot.stood_after_s(began_s) - watch.kept_s <= 1.0
         assert robot.velocities[-1][1] == ZERO
 
 

@@ -3,7 +3,6 @@
 import asyncio
 import json
 import struct
-from pathlib import Path
 
 import pytest
 
@@ -12,7 +11,6 @@ from tests.support.daemon import daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.process import run
 from tests.support.rosbridge import Client
-from tests.support.waiting import expect
 
 HOSTILE = "\x1b]0;x\x07\x1b[2J\x9b31m\u202e\u2066\x7f[red][/x]"
 TOPICS = [*robot_topics(), topic(Id.PUBLISHER, 126, "/robot_0/text", "std_msgs/String")]
@@ -66,16 +64,3 @@ async def test_a_command_prints_only_what_is_printable(arguments: tuple[str, ...
     assert [line for line in (out + err).split("\n") if not line.isprintable()] == []
     if "--json" in arguments:
         assert HOSTILE in texts(json.loads(out))
-
-
-async def test_a_recording_is_printable(tmp_path: Path) -> None:
-    file = tmp_path / "link.jsonl"
-    log = encode(Id.LOG, bytes([3]) + struct.pack("<I", len(HOSTILE.encode())) + HOSTILE.encode())
-    async with daemon() as host, fake_device(host.tcp, TOPICS) as device:
-        await device.send(log)
-        await expect(lambda: host.hub.links.all()[0].session.counts.frames_from_device >= 7)
-        assert (await run("capture", "1", "-o", str(file), "--url", host.url))[0] == 0
-    for command in ("inspect", "doctor"):
-        _, out, err = await run(command, str(file))
-        assert [line for line in (out + err).split("\n") if not line.isprintable()] == []
-        assert "\\u001b]0;x" in out or command == "doctor"

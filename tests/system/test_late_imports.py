@@ -11,18 +11,28 @@ from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.process import HOSTLINK, Process, run, serve
 from tests.support.waiting import TIMEOUT_S
 
+TRACED = (sys.executable, "-X", "importtime", HOSTLINK)
 PATHS = ["/", "/metrics", "/readyz", "/nothing"]
 API = ["robots", "robots/robot_0", "robots/robot_0/odometry", "links", "topics", "clients", "openapi.json"]
 
 
 async def test_daemon_that_runs_imports_nothing_more(tmp_path: Path) -> None:
     log = tmp_path / "log"
-    async with serve(log=log, program=(sys.executable, "-X", "importtime", HOSTLINK)) as daemon:
+    async with serve(log=log, program=TRACED) as daemon:
         await use(daemon)
         assert await daemon.end(signal.SIGTERM) == 0
     late = log.read_text().split("daemon.started")[1].splitlines()
     assert any("daemon.stopped" in line for line in late)
     assert [line for line in late if line.startswith("import time")] == []
+
+
+async def test_daemon_without_a_graph_imports_nothing_of_one(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    async with serve(log=log, program=TRACED) as daemon, fake_device(daemon.tcp, robot_topics()):
+        assert await daemon.end(signal.SIGTERM) == 0
+    lines = log.read_text().splitlines()
+    assert any("hostlink.hub.hub" in line for line in lines)
+    assert [line for line in lines if any(name in line for name in ("hostlink.graphs", "xmlrpc", "zenoh"))] == []
 
 
 async def use(daemon: Process) -> None:
@@ -50,4 +60,4 @@ async def use(daemon: Process) -> None:
             await device.send(pose(1.0))
             async with asyncio.timeout(TIMEOUT_S):
                 assert (await program.receive()).data
-        await asyncio.sleep(2.5)  # until the diagnosis has looked at the garbage, which it does in a thread
+        await daemon.read_log("link.diagnosed")  # the garbage, of which a thread has thought

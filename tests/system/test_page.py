@@ -142,11 +142,7 @@ async def test_page_of_an_insecure_origin_shows_the_robot_and_sends_no_request_t
 
 async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) -> None:
     async with connected(scene) as tab:
-        x, y = await tab.stick()
-        await tab.page.mouse.move(x, y)
-        await tab.page.mouse.down()
-        await tab.page.mouse.move(x, y - 70, steps=3)
-        await scene.drives()
+        await tab.drag_stick(0, 70, lambda: scene.wanted != (0, 0))
         await tab.shows("#drive-state", "You drive")
         await tab.shows("#robots", "you drive")
         begun = scene.robot.world.odometry.x_m
@@ -169,24 +165,37 @@ async def test_a_finger_drives_until_it_is_gone(scene: Scene) -> None:
         x, y = await tab.stick()
         touch = await tab.page.context.new_cdp_session(tab.page)
         for end in ("touchEnd", "touchCancel"):
-            for kind, points in (("touchStart", [{"x": x, "y": y}]), ("touchMove", [{"x": x + 20, "y": y - 60}])):
-                await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-            await expect(lambda: scene.wanted[0] > scene.wanted[1] > 0)  # a finger to the right turns clockwise
-            await touch.send("Input.dispatchTouchEvent", {"type": end, "touchPoints": []})
+
+            async def press() -> None:
+                for kind, points in (("touchStart", [{"x": x, "y": y}]), ("touchMove", [{"x": x + 20, "y": y - 60}])):
+                    await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+            async def release(end: str = end) -> None:
+                await touch.send("Input.dispatchTouchEvent", {"type": end, "touchPoints": []})
+
+            # A finger to the right turns clockwise.
+            await tab.press_until(press, release, lambda: scene.wanted[0] > scene.wanted[1] > 0)
+            await release()
             await scene.stands(within_s=1.0)
 
 
 async def test_keys_drive_while_they_are_pressed(scene: Scene) -> None:
     async with connected(scene) as tab:
         keys = tab.page.keyboard
-        await keys.down("ArrowUp")
-        await scene.drives()
+
+        async def press() -> None:
+            await keys.down("ArrowUp")
+            await keys.down("KeyA")
+
+        async def release() -> None:
+            await keys.up("KeyA")
+            await keys.up("ArrowUp")
+
+        await scene.holds(tab, "ArrowUp")
         straight = scene.wanted
         assert straight[0] == straight[1]
-        await keys.down("KeyA")
-        await expect(lambda: 0 < scene.wanted[0] < scene.wanted[1])
-        await keys.up("KeyA")
-        await keys.up("ArrowUp")
+        await tab.press_until(press, release, lambda: 0 < scene.wanted[0] < scene.wanted[1])
+        await release()
         await scene.stands(within_s=1.0)
 
 
@@ -219,8 +228,7 @@ async def test_a_gamepad_drives_with_its_shoulder_pressed_and_not_when_it_is_los
         await tab.page.evaluate("pad.axes[1] = -1")
         await tab.shows("#gamepad", "hold a shoulder button")
         await scene.stays_still(0.3)
-        await tab.page.evaluate("pad.buttons[4].pressed = true")
-        await scene.drives()
+        await tab.hold_button("pad.buttons[4]", lambda: scene.wanted != (0, 0))
         await tab.page.evaluate("pad.connected = false")
         await scene.stands(within_s=1.0)
 
@@ -268,8 +276,7 @@ async def test_stop_locks_until_unlocked(scene: Scene) -> None:
         stop = tab.page.get_by_role("button", name="Stop")
         keys = tab.page.keyboard
         for press in (stop.click, lambda: keys.press("KeyL"), lambda: keys.press("Escape")):
-            await keys.down("KeyW")
-            await scene.drives()
+            await scene.holds(tab, "KeyW")
             await press()
             await scene.stands(within_s=1.0)
             await tab.shows("#drive-state", "locked")
@@ -279,8 +286,7 @@ async def test_stop_locks_until_unlocked(scene: Scene) -> None:
             await keys.up("KeyW")
             await tab.page.get_by_role("button", name="Unlock").click()
             await tab.page.locator("#lock-reason").wait_for(state="hidden")
-        await keys.down("KeyW")
-        await scene.drives()
+        await scene.holds(tab, "KeyW")
 
 
 @pytest.mark.parametrize("way", ["space", pytest.param("gamepad", marks=pytest.mark.long)])
@@ -288,8 +294,7 @@ async def test_stop_without_a_lock_must_be_let_go_and_drives_again(scene: Scene,
     async with connected(scene) as tab:
         await tab.page.evaluate(GAMEPAD)
         keys = tab.page.keyboard
-        await keys.down("KeyW")
-        await scene.drives()
+        await scene.holds(tab, "KeyW")
         if way == "space":
             await keys.press("Space")
         else:
@@ -299,8 +304,7 @@ async def test_stop_without_a_lock_must_be_let_go_and_drives_again(scene: Scene,
         assert scene.host.hub.robots.find("robot_0").gate.lock_reason is None
         await scene.stays_still(LEASE_S)
         await keys.up("KeyW")
-        await keys.down("KeyW")
-        await scene.drives()
+        await scene.holds(tab, "KeyW")
         await keys.up("KeyW")
 
 
@@ -349,8 +353,7 @@ async def test_every_tab_of_a_browser_can_stop(scene: Scene) -> None:
 
 @pytest.mark.long
 async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websocket(scene: Scene) -> None:
-    host, port = scene.host.url.removeprefix("http://").split(":")
-    async with proxy((host, int(port))) as network, visit(scene.browser, "about:blank") as tab:
+    async with proxy(scene.host.url) as network, visit(scene.browser, "about:blank") as tab:
         await tab.page.route_web_socket("**/*", lambda socket: socket.close())
         await tab.page.goto(network.url)
         await tab.shows("#robots", "no driver")
@@ -377,8 +380,7 @@ async def test_page_watches_by_one_stream_and_does_not_poll(scene: Scene) -> Non
 async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driven_after_it(
     scene: Scene, line: Line
 ) -> None:
-    host, port = scene.host.url.removeprefix("http://").split(":")
-    async with proxy((host, int(port))) as network, connected(scene, network.url) as tab:
+    async with proxy(scene.host.url) as network, connected(scene, network.url) as tab:
         await scene.holds(tab, "KeyW")
         network.set_line(line)
         await tab.shows("#connection", "no answer", timeout_s=NOTICED_S)
@@ -394,8 +396,7 @@ async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driv
 
 
 async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
-    host, port = scene.host.url.removeprefix("http://").split(":")
-    async with proxy((host, int(port))) as network, connected(scene, network.url) as tab:
+    async with proxy(scene.host.url) as network, connected(scene, network.url) as tab:
         network.is_refusing = True
         network.break_off()
         await tab.shows("#connection", "no connection", timeout_s=NOTICED_S)

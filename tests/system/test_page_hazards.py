@@ -152,19 +152,12 @@ async def test_another_button_of_the_mouse_drives_nothing(scene: Scene) -> None:
 
 async def test_a_mouse_whose_release_was_lost_lets_go_as_soon_as_it_moves(scene: Scene) -> None:
     page = scene.tab.page
-    x, y = await scene.tab.stick()
-    await page.mouse.move(x, y)
-    await page.mouse.down()
-    await page.mouse.move(x, y - 60)
-    await scene.drives()
+    await scene.tab.drag_stick(0, 60, lambda: scene.is_driven("robot_0"))
     moved = "new PointerEvent('pointermove', { pointerType: 'mouse', pointerId: 1, buttons: 0, bubbles: true })"
     await page.evaluate(f"document.body.dispatchEvent({moved})")
     await scene.stands()
     await page.mouse.up()
-    await page.mouse.move(x, y)
-    await page.mouse.down()
-    await page.mouse.move(x, y - 60)
-    await scene.drives()
+    await scene.tab.drag_stick(0, 60, lambda: scene.is_driven("robot_0"))
 
 
 async def test_a_page_that_did_not_run_drives_on_only_when_it_is_pressed_again(scene: Scene) -> None:
@@ -195,7 +188,7 @@ async def test_a_gamepad_drives_only_from_the_window_that_has_the_focus(scene: S
     await scene.tab.shows("#gamepad", "another window")
     assert scene.commands() == []
     await page.evaluate("delete document.hasFocus")
-    await scene.drives()
+    await scene.tab.hold_button("pad.buttons[5]", lambda: scene.is_driven("robot_0"))
     await page.evaluate("pad.buttons[5].pressed = false")
     await scene.stands()
 
@@ -204,8 +197,7 @@ async def test_a_gamepad_beside_another_one_drives_and_stops(scene: Scene) -> No
     """Browsers list some keyboards and receivers as gamepads, and the first one may lie about."""
     page = scene.tab.page
     await page.evaluate(SECOND_PAD)
-    await page.evaluate("other.buttons[5].pressed = true")
-    await scene.drives()
+    await scene.tab.hold_button("other.buttons[5]", lambda: scene.is_driven("robot_0"))
     await page.evaluate("other.buttons[1].pressed = true")
     await expect(lambda: scene.server.requests == [("POST", "/api/robots/robot_0/stop")])
     await scene.stands()

@@ -1,7 +1,6 @@
 """The page while the daemon is not heard: nothing that was true looks as if it were. And before there is a robot."""
 
 import asyncio
-import re
 import shlex
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -19,7 +18,7 @@ from tests.support.daemon import Daemon, daemon
 from tests.support.driving import driven
 from tests.support.fork_server import start
 from tests.support.page_server import State, page_server
-from tests.support.proxy import Line, Proxy, proxy
+from tests.support.proxy import Line, Proxy, address_of, proxy
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
@@ -33,12 +32,15 @@ HOW_IT_GOES = ["swallowed", "refused"]  # as in a network that fails, and as by 
 @asynccontextmanager
 async def shown(browser: Browser, config: Config) -> AsyncIterator[tuple[Daemon, Proxy, Visit]]:
     """A page that shows a robot which is driven, through a line that can be cut."""
-    async with daemon(config, has_black_box=True) as host:
-        name, _, port = host.url.removeprefix("http://").partition(":")
-        async with proxy((name, int(port))) as line, simulated_robot(host.tcp), visit(browser, line.url) as tab:
-            await tab.shows("#robots", "robot_0")
-            async with driven(host.hub, "robot_0", 0.2):
-                yield host, line, tab
+    async with (
+        daemon(config, has_black_box=True) as host,
+        proxy(host.url) as line,
+        simulated_robot(host.tcp),
+        visit(browser, line.url) as tab,
+    ):
+        await tab.shows("#robots", "robot_0")
+        async with driven(host.hub, "robot_0", 0.2):
+            yield host, line, tab
 
 
 def cut(line: Proxy, how: str) -> None:
@@ -170,14 +172,12 @@ async def test_without_a_robot_that_may_connect_from_here_the_page_names_no_simu
 
 
 async def test_ports_of_a_daemon_that_was_started_anew_are_the_new_ones(browser: Browser) -> None:
-    async with daemon() as first, daemon() as second:
-        (name, port), (_, other) = (re.match(r"http://(.*):(\d+)", one.url).groups() for one in (first, second))  # type: ignore[union-attr]
-        async with proxy((name, int(port))) as line, visit(browser, line.url) as tab:
-            await tab.shows("#robots .ways", str(first.tcp[1]))
-            line.target = (name, int(other))
-            line.break_off()
-            await tab.shows("#robots .ways", str(second.tcp[1]))
-            await expect(lambda: tab.other_hosts == [])
+    async with daemon() as first, daemon() as second, proxy(first.url) as line, visit(browser, line.url) as tab:
+        await tab.shows("#robots .ways", str(first.tcp[1]))
+        line.target = address_of(second.url)
+        line.break_off()
+        await tab.shows("#robots .ways", str(second.tcp[1]))
+        await expect(lambda: tab.other_hosts == [])
 
 
 async def test_without_a_robot_a_daemon_on_all_addresses_names_its_port_and_serial_ports(browser: Browser) -> None:

@@ -1,9 +1,7 @@
 """The page where something is missing: a robot, a token, a right. And its appearance, also for screen readers."""
 
 import asyncio
-import itertools
 import os
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +10,16 @@ from axe_playwright_python.async_playwright import Axe
 from playwright.async_api import Browser
 
 from hostlink.config import ApiConfig, Config, RobotConfig, TokenConfig
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.frame import Id
 from tests.support.browser import DESK, PHONE, visit
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.simulated import simulated_robot
-from tests.support.waiting import expect, is_soon
+from tests.support.waiting import expect
 
 pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.long]
 
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
-AMBER_S = 0.5
-USUAL_POSES = 15  # then the page knows how often it sends
 PICTURES = Path("build/screenshots")
 PAPER = Config(robots={"robot_0": RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)})
 TURN_RAD = float(
@@ -59,26 +55,6 @@ async def test_played_robot_is_named_a_recording_instead_of_its_driver(browser: 
         await device.send(pose(1.0, -2.0))
         await tab.shows("#drive-state", "A recording: it cannot be driven")
         await tab.shows("#robots", "a recording")
-
-
-@pytest.mark.alone
-async def test_a_robot_that_falls_silent_is_amber_within_half_a_second(browser: Browser) -> None:
-    async with daemon() as host, visit(browser, host.url) as tab, fake_device(host.tcp, robot_topics()) as device:
-
-        async def amber_s() -> float:
-            for sent in itertools.count():
-                await device.send(pose(1.0, -2.0) + encode(Id.TIME, bytes(8)))
-                begun_s = time.monotonic()
-                await asyncio.sleep(0.1)
-                is_shown = await tab.page.locator(".robot[data-state=connected]").count() == 1
-                if sent >= USUAL_POSES and is_shown:
-                    break
-            await tab.page.locator(".robot[data-state=silent]").wait_for()
-            lasted_s = time.monotonic() - begun_s
-            await tab.shows("#drive-state", "silent for")
-            return lasted_s
-
-        assert await is_soon(amber_s, AMBER_S)
 
 
 async def test_device_that_is_not_a_robot_is_explained(browser: Browser) -> None:

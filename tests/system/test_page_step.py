@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import csv
+import re
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -34,7 +35,10 @@ async def bench(browser: Browser) -> AsyncIterator[tuple[Daemon, DisturbedRobot,
         await tab.is_connected()
         await tab.layout("Tune")
         await tab.page.locator("#step:enabled").wait_for()
-        await asyncio.sleep(0.3)  # a message of plot_data: it must stand
+        plot = tab.page.locator("#plot-left .uplot")
+        await expect_page(plot).to_have_attribute(
+            "data-count", re.compile("^[1-9]")
+        )  # the page knows that it is stopped
         yield host, robot, tab
         assert tab.complaints == []
 

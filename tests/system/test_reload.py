@@ -90,7 +90,7 @@ async def test_reload_of_ten_thousand_robots_blocks_the_loop_for_a_fraction_of_i
             waits_s = [0.0]
             async with asyncio.TaskGroup() as tasks:
                 began_s = time.monotonic()
-                reload = tasks.create_task(post(session, f"{daemon.url}/api/reload"))
+                reload = tasks.create_task(daemon.post("/api/reload"))
                 while not reload.done():
                     asked_s = time.monotonic()
                     async with session.get(f"{daemon.url}/healthz") as response:
@@ -106,9 +106,3 @@ async def test_reload_of_ten_thousand_robots_blocks_the_loop_for_a_fraction_of_i
 
 def threads_of(pid: int) -> int:
     return len(list(Path(f"/proc/{pid}/task").iterdir()))
-
-
-async def post(session: aiohttp.ClientSession, url: str) -> dict[str, list[str]]:
-    async with session.post(url) as response:
-        assert response.status == 200
-        return dict(await response.json())

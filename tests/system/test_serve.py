@@ -1,31 +1,19 @@
-"""The daemon as a process: signals, ports that are taken, a real roslibpy program, a serial device, a fleet."""
+"""The daemon as a process: signals, ports that are taken, a serial device."""
 
 import asyncio
-import contextlib
 import json
-import os
 import signal
-import sys
-import termios
-import tty
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import aiohttp
 import pytest
 
-from hostlink.protocol.frame import Id
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
-from tests.support.background import meanwhile
 from tests.support.driving import put_velocity
-from tests.support.fake_device import fake_device, robot_topics
-from tests.support.process import run, serve, simulated
-from tests.support.stopwatch import Stopwatch
+from tests.support.process import run, serve
+from tests.support.pty_pair import pty_streams
 
-ZERO = (0.0, 0.0)
 STOP_S = 0.6  # a robot's own watchdog is 0.5 s, looked at each thirtieth of a second
-PROGRAM = Path(__file__).parent.parent / "support" / "program.py"
 
 
 async def drive(url: str, linear: float, angular: float) -> None:
@@ -33,24 +21,6 @@ async def drive(url: str, linear: float, angular: float) -> None:
     async with aiohttp.ClientSession() as session:
         body = json.dumps({"linear": linear, "angular": angular}).encode()
         await put_velocity(session, f"{url}/api/robots/robot_0", body)
-
-
-@pytest.mark.quiet
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-async def test_a_signal_while_driving_stops_the_robot_then_silences_it_within_a_second(number: signal.Signals) -> None:
-    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device:
-        await drive(daemon.url, 0.2, 0.5)
-        assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
-        watch = Stopwatch(daemon.pid)
-        async with meanwhile(watch.sampling()):
-            daemon.child.send_signal(number)
-            assert await device.velocity_other_than((0.2, 0.5)) == ZERO
-            after = []
-            while not after or after[-1].topic_id != Id.STOP:
-                after.append(await device.next())
-            assert await daemon.child.wait() == 0
-        assert watch.seconds < 1.0
-    assert {frame.payload for frame in after if frame.topic_id == 100} <= {bytes(48)}
 
 
 @pytest.mark.quiet
@@ -75,36 +45,12 @@ async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
     assert robot.speed_m_s < 0.01
 
 
-@pytest.mark.long  # tests/system/test_clients.py runs roslibpy
-async def test_a_roslibpy_program_drives_the_simulated_robot_and_reads_it_back() -> None:
-    async with serve() as daemon, simulated(daemon.tcp):
-        await daemon.read_log("robot.appeared")
-        host, port = daemon.url.removeprefix("http://").split(":")
-        program = await asyncio.create_subprocess_exec(
-            sys.executable, str(PROGRAM), host, port, "robot_0",
-            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-        )  # fmt: skip
-        async with asyncio.timeout(40):
-            out, err = await program.communicate()
-        assert program.returncode == 0, err.decode()
-        stopped = await daemon.read_log("robot.stopped")
-    observed = json.loads(out)
-    assert observed["count"] > 5
-    assert observed["last"]["x"] - observed["first"]["x"] > 0.05
-    assert abs(observed["last"]["y"]) < 0.05
-    assert stopped["robot"] == "robot_0"
-
-
 async def test_a_serial_device_does_the_same() -> None:
     """The simulated robot on one end of a pseudo terminal, the daemon on the other."""
-    ours, theirs = os.openpty()
-    for end in (ours, theirs):
-        tty.setraw(end, termios.TCSANOW)
-    path = os.ttyname(theirs)
     robot = SimulatedRobot("robot_0")
     async with (
+        pty_streams() as (reader, writer, path),
         serve("--serial", f"{path}@57600") as daemon,
-        streams_of(ours) as (reader, writer),
         asyncio.TaskGroup() as tasks,
     ):
         running = tasks.create_task(run_over_streams(robot, reader, writer))
@@ -113,39 +59,9 @@ async def test_a_serial_device_does_the_same() -> None:
         while robot.world.odometry.x_m < 0.05:
             await drive(daemon.url, 0.3, 0.0)
             await asyncio.sleep(0.1)
-        url = f"{daemon.url}/api/robots/robot_0/odometry"
-        async with aiohttp.ClientSession() as session, session.get(url) as found:
-            assert (await found.json())["pose"]["x_m"] > 0.0
+        assert (await daemon.get("/api/robots/robot_0/odometry"))["pose"]["x_m"] > 0.0
         assert await daemon.end(signal.SIGTERM) == 0
         running.cancel()
-    os.close(theirs)
-
-
-@contextlib.asynccontextmanager
-async def streams_of(descriptor: int) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-    """The controlling end of a pseudo terminal as streams; takes the descriptor over."""
-    loop = asyncio.get_running_loop()
-    reader = asyncio.StreamReader()
-    protocol = asyncio.StreamReaderProtocol(reader)
-    reading, _ = await loop.connect_read_pipe(lambda: protocol, os.fdopen(descriptor, "rb", 0))
-    pipe = os.fdopen(os.dup(descriptor), "wb", 0)
-    writing, flow = await loop.connect_write_pipe(lambda: asyncio.StreamReaderProtocol(asyncio.StreamReader()), pipe)
-    try:
-        yield reader, asyncio.StreamWriter(writing, flow, None, loop)
-    finally:
-        reading.close()
-        writing.close()
-        await asyncio.sleep(0)  # both close in the loop's next turn
-
-
-async def test_ten_robots_at_once() -> None:
-    async with serve() as daemon, simulated(daemon.tcp, "--robots", "10"):
-        for _ in range(10):
-            await daemon.read_log("robot.appeared")
-        async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/robots") as found:
-            robots = (await found.json())["robots"]
-    assert sorted(robot["name"] for robot in robots) == [f"robot_{number}" for number in range(10)]
-    assert all(robot["connected"] for robot in robots)
 
 
 async def test_a_port_in_use_is_one_line_and_status_2_and_starts_no_guardian() -> None:
@@ -159,41 +75,3 @@ async def test_a_port_in_use_is_one_line_and_status_2_and_starts_no_guardian() -
         )
         assert (status, "guardian.started" in complaint) == (2, False)
         assert "choose another port with --api" in complaint
-
-
-async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
-    async with serve("--serial", "/dev/ttyNONE") as daemon:
-        waiting = await daemon.read_log("serial.waiting")
-        assert "no such port" in waiting["reason"]
-        assert await daemon.end(signal.SIGTERM) == 0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "complaint"),
-    [
-        (["serve", "--listen", "nonsense"], 2, "hostlink: --listen: 'nonsense' is not HOST:PORT"),
-        (["serve", "--serial", "/dev/x@fast"], 2, "hostlink: --serial: '/dev/x@fast' is not PORT or PORT@BAUD"),
-        (["serve", "--config", "/none.toml"], 2, "hostlink: /none.toml: No such file or directory"),
-        (
-            ["serve", "--log-level", "loud"],
-            2,
-            "hostlink: --log-level: unknown value 'loud'; choose debug, info, warning or error",
-        ),
-        (["inspect", "/none.jsonl"], 1, "hostlink: /none.jsonl: No such file or directory"),
-        (
-            ["topics", "--url", "http://127.0.0.1:1"],
-            1,
-            "hostlink: no hostlink at http://127.0.0.1:1: is `hostlink serve`",
-        ),
-        (["teleop", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
-        (["drive", "robot_0", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
-        (["pub", "/x", "{"], 2, "hostlink: MESSAGE: cannot be read: } is missing at the end; write it as "),
-        (["call", "/x", '"a: b"'], 2, "hostlink: REQUEST: is not an object with fields"),
-        (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: unknown value 'dvorak'; choose original or twist"),
-    ],
-)
-async def test_wrong_words_on_the_command_line(arguments: list[str], status: int, complaint: str) -> None:
-    got, out, err = await run(*arguments)
-    assert (got, out) == (status, "")
-    assert err.splitlines()[-1].startswith(complaint)
-    assert "Traceback" not in err

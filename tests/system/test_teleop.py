@@ -10,7 +10,6 @@ import signal
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
-import aiohttp
 import pytest
 
 from hostlink.cli.driving import HOLD_S
@@ -35,12 +34,6 @@ async def driving(layout: str = "original") -> AsyncIterator[tuple[Process, Scre
         yield daemon, terminal
 
 
-async def robot(daemon: Process) -> dict[str, Any]:
-    async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/robots/robot_0") as response:
-        observed: dict[str, Any] = await response.json()
-        return observed
-
-
 async def expect(
     daemon: Process, is_so: Callable[[dict[str, Any]], bool], *, within_s: float = PATIENCE_S
 ) -> dict[str, Any]:
@@ -58,8 +51,7 @@ async def expect(
 
 async def last_drive_ended(daemon: Process) -> str:
     """Return why the newest drive ended."""
-    async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/drives") as response:
-        return str((await response.json())["drives"][0]["end"])
+    return str((await daemon.get("/api/drives"))["drives"][0]["end"])
 
 
 def is_driven(observed: dict[str, Any]) -> bool:
@@ -116,7 +108,7 @@ async def test_teleop_with_another_key_stops_the_robot_though_a_driving_key_is_h
     async with driving() as (daemon, terminal):
         for key in ("Space", "p"):
             async with moving(terminal, daemon):
-                epoch = (await robot(daemon))["epoch"]
+                epoch = (await daemon.get("/api/robots/robot_0"))["epoch"]
                 await terminal.keys(key)
                 if key != "p":
                     await expect(daemon, lambda observed, epoch=epoch: observed["epoch"] > epoch)  # type: ignore[misc]
@@ -155,7 +147,7 @@ async def test_teleop_that_is_suspended_stops_the_robot_and_drives_again_after_i
         await expect(daemon, is_stopped)
         await terminal.keys("clear", "Enter", "fg", "Enter")
         await terminal.shows("speeds")
-        assert is_stopped(await robot(daemon))
+        assert is_stopped(await daemon.get("/api/robots/robot_0"))
         async with moving(terminal, daemon):
             pass
 
@@ -170,15 +162,10 @@ async def test_teleop_whose_daemon_is_killed_shows_that_the_robot_stops_by_itsel
         await terminal.shows("bash-")
 
 
-async def post(daemon: Process, path: str) -> None:
-    async with aiohttp.ClientSession() as session, session.post(daemon.url + path) as response:
-        assert response.status == 200
-
-
 async def test_teleop_of_a_locked_robot_unlocks_it_by_a_key_and_drives_by_the_next() -> None:
     async with driving() as (daemon, terminal):
         async with moving(terminal, daemon):
-            await post(daemon, "/api/robots/robot_0/lock")
+            await daemon.post("/api/robots/robot_0/lock")
             assert "r unlocks it" in await terminal.shows("LOCKED: ")
         await terminal.keys("w", "r")
         await expect(daemon, lambda observed: not observed["locked"])
@@ -213,3 +200,17 @@ async def test_teleop_without_a_terminal_is_refused() -> None:
         _, err = await child.communicate()
     assert child.returncode == 2
     assert err.decode().startswith("hostlink: teleop: standard input or output is not a terminal")
+
+
+async def test_teleop_of_a_device_that_cannot_take_a_velocity_shows_why_it_neither_drives_nor_stops() -> None:
+    small = [info._replace(buffer_bytes=40) if info.topic_id == 100 else info for info in robot_topics()]
+    reason = "/robot_0/velocity_commands: frame of 56 bytes, the device takes 40"
+    async with serve() as daemon, fake_device(daemon.tcp, small), screen() as terminal:
+        await terminal.keys(f"{HOSTLINK} teleop robot_0 --url {daemon.url}", "Enter")
+        await terminal.shows("hostlink teleop   robot_0   connected")
+        await terminal.keys("Space")
+        await terminal.shows(reason)
+        await terminal.keys("w")
+        assert "hostlink teleop   robot_0   connected" in await terminal.shows(reason)
+        await terminal.keys("C-c")
+        await terminal.shows("bash-")

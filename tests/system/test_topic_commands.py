@@ -23,12 +23,12 @@ TRIGGER = service_server("/trigger", "std_srvs/Trigger", 127, 102)
 
 
 @asynccontextmanager
-async def publishing(data: bytes = b"", *, interval_s: float = 0.02) -> AsyncIterator[tuple[Daemon, FakeDevice]]:
+async def publishing(data: bytes = b"") -> AsyncIterator[tuple[Daemon, FakeDevice]]:
     """A robot that publishes its pose, and more, fifty times a second."""
     async with (
         daemon() as host,
         fake_device(host.tcp, [*robot_topics(), POINT, *TRIGGER]) as device,
-        repeating(device, pose(1 / 3, 2.0, 0.5) + data, interval_s=interval_s),
+        repeating(device, pose(1 / 3, 2.0, 0.5) + data, interval_s=0.02),
     ):
         yield host, device
 

@@ -66,20 +66,3 @@ async def test_recording_of_the_earlier_version_is_read(state: Path) -> None:
     status, out, err = await run("info", str(file))
     assert (status, err) == (0, "")
     assert "/robot_0/odom" in out
-
-
-@pytest.mark.parametrize(
-    ("settings", "complaint"),
-    [
-        ("[zenoh]\nfleet = true\nca = 'ca'\ncertificate = 'c'\nkey = 'k'\ndrivers = ['lab-*']\n", "lab-*"),
-        ("[robots.robot_0]\nspeed = 1\n", "speed"),
-    ],
-)
-async def test_setting_that_is_no_longer_valid_is_refused_by_name(
-    tmp_path: Path, settings: str, complaint: str
-) -> None:
-    file = tmp_path / "hostlink.toml"
-    file.write_text(settings)
-    status, _, err = await run("serve", "--check-config", str(file))
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert complaint in err

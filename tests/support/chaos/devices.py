@@ -25,8 +25,7 @@ async def flood(stage: Stage, action: Action) -> None:
     what = f"flood of {maker.__name__}, {count} connections, {'reading' if is_reading else 'not reading'}, then {way}"
     stage.report({"action": action.number, "what": what})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(number: int, own: random.Random) -> None:
         async with stage.device(own, way) as connection:
             if is_known:
                 await introduce(connection, frames.introduction(frames.robot(f"rogue_{number % 4}")))
@@ -37,7 +36,7 @@ async def flood(stage: Stage, action: Action) -> None:
                     await connection.send(block)
                     await asyncio.sleep(0)
 
-    await together(one, count)
+    await together(action, one, count)
 
 
 async def announce(stage: Stage, action: Action) -> None:
@@ -48,8 +47,7 @@ async def announce(stage: Stage, action: Action) -> None:
     way = dice.choice(WAYS)
     stage.report({"action": action.number, "what": f"{count} devices announce {len(infos)} topics or so, then {way}"})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(number: int, own: random.Random) -> None:
         mine = infos if number == 0 else frames.draw_announcement(own)[:FEW_TOPICS]
         async with stage.device(own, way) as connection, reading(connection):
             await introduce(connection, frames.introduction(mine))
@@ -61,7 +59,7 @@ async def announce(stage: Stage, action: Action) -> None:
                     await connection.send(frames.introduction(mine))
                 await asyncio.sleep(TURN_S)
 
-    await together(one, count)
+    await together(action, one, count)
 
 
 async def trickle(stage: Stage, action: Action) -> None:
@@ -70,8 +68,7 @@ async def trickle(stage: Stage, action: Action) -> None:
     way = dice.choice(WAYS)
     stage.report({"action": action.number, "what": f"frames of every kind in pieces, then {way}"})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         async with stage.device(own, way) as connection, reading(connection):
             await introduce(connection, frames.introduction(frames.draw_announcement(own)[:20]))
             while True:
@@ -81,7 +78,7 @@ async def trickle(stage: Stage, action: Action) -> None:
                 await connection.send(bytes(piece))
                 await asyncio.sleep(own.choice((0.0, 0.001, TURN_S, 0.2)))
 
-    await together(one, dice.randint(1, 4))
+    await together(action, one, dice.randint(1, 4))
 
 
 async def churn(stage: Stage, action: Action) -> None:
@@ -92,8 +89,7 @@ async def churn(stage: Stage, action: Action) -> None:
     what = f"{rate_hz} devices a second connect and vanish, {'new' if is_new else 'same'}"
     stage.report({"action": action.number, "what": what})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(number: int, own: random.Random) -> None:
         hello = frames.introduction(frames.robot(f"{word}_{number if is_new else number % 3}"))
         async with stage.device(own, own.choice(WAYS[:3])) as connection:
             stage_of_life = own.randrange(4)
@@ -106,7 +102,7 @@ async def churn(stage: Stage, action: Action) -> None:
     number = 0
     async with asyncio.TaskGroup() as tasks:
         while True:
-            tasks.create_task(quietly(one, number))
+            tasks.create_task(quietly(one, number, action.dice_of(number)))
             number += 1
             await asyncio.sleep(1 / rate_hz)
 
@@ -129,8 +125,7 @@ async def copy(stage: Stage, action: Action) -> None:
     dice = action.dice()
     stage.report({"action": action.number, "what": "copies of the honest robot's firmware"})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         while True:
             with contextlib.suppress(OSError):
                 async with stage.device(own, own.choice(WAYS[:3])) as connection:
@@ -139,7 +134,7 @@ async def copy(stage: Stage, action: Action) -> None:
                         await keep_company(connection)
             await asyncio.sleep(0.05)
 
-    await together(one, dice.randint(1, 3))
+    await together(action, one, dice.randint(1, 3))
 
 
 async def keep_company(connection: Connection) -> None:
@@ -150,11 +145,11 @@ async def keep_company(connection: Connection) -> None:
             await asyncio.sleep(0.1)
 
 
-async def together(one: Callable[[int], Awaitable[None]], count: int) -> None:
-    """So many at once; one that is sent away leaves the others alone."""
+async def together(action: Action, one: Callable[[int, random.Random], Awaitable[None]], count: int) -> None:
+    """So many at once, each with its own dice; one that is sent away leaves the others alone."""
     async with asyncio.TaskGroup() as tasks:
         for number in range(count):
-            tasks.create_task(quietly(one, number))
+            tasks.create_task(quietly(one, number, action.dice_of(number)))
 
 
 async def quietly(work: Callable[..., Awaitable[None]], *arguments: Any) -> None:

@@ -36,15 +36,14 @@ async def bodies(stage: Stage, action: Action) -> None:
     what = f"{count} connections upload {size} bytes to {method} {path}, {manner}"
     stage.report({"action": action.number, "what": what})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         while True:
             with contextlib.suppress(OSError):
                 async with stage.program(own, own.choice(("fin", "reset")), kind=UPLOAD) as connection:
                     await _upload(connection, method, path, size, manner)
             await asyncio.sleep(0.02)
 
-    await together(one, count)
+    await together(action, one, count)
 
 
 async def _upload(connection: Connection, method: str, path: str, size: int, manner: str) -> None:
@@ -72,8 +71,7 @@ async def latch(stage: Stage, action: Action) -> None:
     what = f"{count} programs with {topics} latched messages of {size} bytes each"
     stage.report({"action": action.number, "what": what})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(number: int, own: random.Random) -> None:
         async with stage.websocket(own, own.choice(("fin", "reset", "silent"))) as connection, reading(connection):
             while True:
                 for each in range(topics):
@@ -84,7 +82,7 @@ async def latch(stage: Stage, action: Action) -> None:
                         await connection.send(requests.operation(op="subscribe", topic=name))
                 await asyncio.sleep(own.uniform(0.2, 2.0))
 
-    await together(one, count)
+    await together(action, one, count)
 
 
 async def history(stage: Stage, action: Action) -> None:
@@ -93,13 +91,12 @@ async def history(stage: Stage, action: Action) -> None:
     count = dice.choice((1, 3, 8))
     stage.report({"action": action.number, "what": f"{count} readers of incidents and of /metrics"})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         while True:
             await quietly(_read_incidents, stage, own)
             await asyncio.sleep(own.choice((0.0, 0.05)))
 
-    await together(one, count)
+    await together(action, one, count)
 
 
 async def _read_incidents(stage: Stage, dice: random.Random) -> None:

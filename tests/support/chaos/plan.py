@@ -56,6 +56,10 @@ class Action:
     def dice(self) -> random.Random:
         return random.Random(self.seed)
 
+    def dice_of(self, number: int) -> random.Random:
+        """Return the dice of one of its peers."""
+        return random.Random(f"{self.seed} {number}")
+
 
 @dataclass(frozen=True)
 class Step:

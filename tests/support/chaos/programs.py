@@ -26,14 +26,13 @@ async def bridge(stage: Stage, action: Action) -> None:
     spoken = "Foxglove's" if is_foxglove else "rosbridge's"
     stage.report({"action": action.number, "what": f"{spoken} operations each {interval_s} s, then {way}"})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         async with stage.websocket(own, way, handshake=handshake) as connection, reading(connection):
             while True:
                 await connection.send(draw(own))
                 await asyncio.sleep(interval_s)
 
-    await together(one, dice.randint(1, 6))
+    await together(action, one, dice.randint(1, 6))
 
 
 async def subscriber(stage: Stage, action: Action) -> None:
@@ -43,8 +42,7 @@ async def subscriber(stage: Stage, action: Action) -> None:
     stage.report({"action": action.number, "what": f"subscribers of floods that read {manner}"})
     receive_bytes = 0 if manner == "at once" else SMALL_BUFFER_BYTES
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         kind = SOCKET if manner == "at once" else STUCK
         way = "silent" if manner == "never" else "fin"
         async with stage.websocket(own, way, kind=kind, receive_bytes=receive_bytes) as connection:
@@ -53,7 +51,7 @@ async def subscriber(stage: Stage, action: Action) -> None:
                 return
             await connection.read_away(pause_s=0.0 if manner == "at once" else 0.05)
 
-    await together(one, dice.randint(1, 5))
+    await together(action, one, dice.randint(1, 5))
 
 
 async def publisher(stage: Stage, action: Action) -> None:
@@ -62,14 +60,13 @@ async def publisher(stage: Stage, action: Action) -> None:
     interval_s = dice.choice((0.002, 0.01, 0.05))
     stage.report({"action": action.number, "what": f"publishers to hostile devices each {interval_s} s"})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         async with stage.websocket(own) as connection, reading(connection):
             while True:
                 await connection.send(requests.publication(own))
                 await asyncio.sleep(interval_s)
 
-    await together(one, dice.randint(1, 4))
+    await together(action, one, dice.randint(1, 4))
 
 
 async def rival(stage: Stage, action: Action) -> None:
@@ -97,8 +94,7 @@ async def rest(stage: Stage, action: Action) -> None:
     dice = action.dice()
     stage.report({"action": action.number, "what": "HTTP requests, right and wrong"})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         while True:
             with contextlib.suppress(OSError):
                 async with stage.program(own, own.choice(("fin", "reset", "half_close"))) as connection:
@@ -107,7 +103,7 @@ async def rest(stage: Stage, action: Action) -> None:
                         await connection.receive_until(b"\r\n\r\n", 0.2)
             await asyncio.sleep(own.choice((0.0, 0.02)))
 
-    await together(one, dice.randint(1, 6))
+    await together(action, one, dice.randint(1, 6))
 
 
 async def idle(stage: Stage, action: Action) -> None:
@@ -125,8 +121,7 @@ async def broken_websocket(stage: Stage, action: Action) -> None:
     dice = action.dice()
     stage.report({"action": action.number, "what": "broken WebSocket frames"})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         while True:
             with contextlib.suppress(OSError):
                 async with stage.websocket(own, own.choice(("fin", "reset", "silent"))) as connection:
@@ -136,4 +131,4 @@ async def broken_websocket(stage: Stage, action: Action) -> None:
                     await connection.receive_until(b"\x88", 0.2)
             await asyncio.sleep(0.02)
 
-    await together(one, dice.randint(1, 5))
+    await together(action, one, dice.randint(1, 5))

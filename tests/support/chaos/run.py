@@ -34,6 +34,7 @@ LAST_WORD_S = 0.4  # in which a zero reaches the robot after the daemon has died
 DRIVE_BEFORE_END_S = 0.7
 SERVED_S = 20.0
 HANDSHAKE_S = 5.0
+TAIL_BYTES = 4000
 CALL_IS_ANSWERED = "a device that calls is answered"
 
 
@@ -398,7 +399,7 @@ async def run(wanted: Wanted, log: Callable[[str], None]) -> Outcome:
     return outcome
 
 
-def _tail(log: Path, size: int = 4000) -> str:
+def _tail(log: Path) -> str:
     with log.open("rb") as file:
-        file.seek(max(0, log.stat().st_size - size))
+        file.seek(max(0, log.stat().st_size - TAIL_BYTES))
         return file.read().decode(errors="replace")

@@ -26,14 +26,13 @@ async def strangers(stage: Stage, action: Action) -> None:
     way, count = dice.choice(WAYS), dice.choice((1, 4, 16))
     stage.report({"action": action.number, "what": f"{count} strangers at the fleet's port, {way}"})
 
-    async def one(number: int) -> None:
-        own = random.Random(f"{action.seed} {number}")
+    async def one(_: int, own: random.Random) -> None:
         while True:
             await quietly(_come, stage, own, way)
             await asyncio.sleep(own.choice((0.01, 0.1)))
 
     if stage.fleet is not None:
-        await together(one, count)
+        await together(action, one, count)
 
 
 async def _come(stage: Stage, dice: random.Random, way: str) -> None:

@@ -94,6 +94,15 @@ class Graph:
         assert status == 0, out
         return [line.strip() for line in out.splitlines() if line.strip()]
 
+    async def listed(self, name: str, *, is_there: bool = True) -> set[str]:
+        """Wait until `rostopic list` has a topic, or no more has it. Return all topics."""
+        async with asyncio.timeout(TIMEOUT_S):
+            while True:
+                status, out = await self.run("rostopic", "list")
+                if status == 0 and (name in (found := set(out.split()))) is is_there:
+                    return found
+                await asyncio.sleep(0.1)
+
     async def slave_uri(self, node: str) -> str:
         """Return the URI at which the node listens for calls, according to the master."""
         _, _, uri = await call(self.url, "lookupNode", "/test", node)

@@ -48,16 +48,6 @@ async def failed(*words: str) -> str:
     return err.decode()
 
 
-async def topics(ros: Graph, wanted: str) -> list[str]:
-    found: list[str] = []
-    for _ in range(60):
-        found = (await ros.run("rostopic", "list"))[1].split()
-        if wanted in found:
-            return found
-        await asyncio.sleep(0.1)
-    raise AssertionError(f"no {wanted} in {found}")
-
-
 @pytest.mark.long
 async def test_node_of_a_launch_file_has_its_namespace_name_remapping_and_parameters(ros: Graph) -> None:
     """Start the node like roslaunch: in a namespace, with a name, a remapping, and parameters at the master."""
@@ -69,9 +59,9 @@ async def test_node_of_a_launch_file_has_its_namespace_name_remapping_and_parame
         started = await daemon.read_log("daemon.started")
         assert started["tcp"].endswith(f":{port}")
         async with living_device(("127.0.0.1", port), CHATTER):
-            found = await topics(ros, "/lab/talk")
-            assert {"/odometry", "/robot_0/velocity_commands"} <= set(found)
-            assert not {"/chatter", "/lab/chatter", "/robot_0/odometry"} & set(found)
+            found = await ros.listed("/lab/talk")
+            assert {"/odometry", "/robot_0/velocity_commands"} <= found
+            assert not {"/chatter", "/lab/chatter", "/robot_0/odometry"} & found
             assert "/lab/base" in await ros.lines("rosnode", "list")
 
 
@@ -118,7 +108,7 @@ async def test_two_nodes_in_two_namespaces_share_nothing_but_global_topics(ros: 
             message = await reader.read("message")
             assert message["by"] == f"/{space}/serial_node"
             assert message["fields"]["pose"]["pose"]["position"]["x"] == number + 1.0
-        await topics(ros, "/r2/robot/odom")
+        await ros.listed("/r2/robot/odom")
         published, subscribed, services = await nodes_of(ros)
         both = {f"/{space}/serial_node" for space in spaces}
         for space in spaces:
@@ -188,7 +178,7 @@ async def test_roslaunch_starts_the_package_that_the_command_writes(ros: Graph, 
     try:
         await expect(lambda: b"daemon.started" in log.read_bytes())
         async with living_device(("127.0.0.1", port), CHATTER):
-            assert "/lab/talk" in await topics(ros, "/lab/talk")
+            assert "/lab/talk" in await ros.listed("/lab/talk")
             assert "/lab/base" in await ros.lines("rosnode", "list")
     finally:
         launch.send_signal(signal.SIGINT)

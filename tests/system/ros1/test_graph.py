@@ -279,26 +279,14 @@ async def test_devices_are_given_the_time_of_the_clock_topic(ros: Graph) -> None
 # -- a graph that changes ---------------------------------------------------------------------------------------------
 
 
-async def listed(ros: Graph, name: str, *, is_there: bool = True) -> list[str]:
-    """Wait until a topic is in the graph, or no more; returns all."""
-    found: list[str] = []
-    for _ in range(60):
-        status, out = await ros.run("rostopic", "list")
-        found = out.split()
-        if status == 0 and (name in found) is is_there:
-            return found
-        await asyncio.sleep(0.1)
-    raise AssertionError(f"{name} is {'not ' if is_there else ''}there: {found}")
-
-
 @pytest.mark.long
 async def test_a_robot_that_leaves_takes_its_topics_out_of_the_graph(ros: Graph) -> None:
     async with ros.daemon() as daemon:
         async with living_device(daemon.tcp, robot_topics()):
-            await listed(ros, ODOMETRY)
-        await listed(ros, ODOMETRY, is_there=False)
+            await ros.listed(ODOMETRY)
+        await ros.listed(ODOMETRY, is_there=False)
         async with living_device(daemon.tcp, robot_topics()):
-            await listed(ros, ODOMETRY)
+            await ros.listed(ODOMETRY)
 
 
 async def test_the_master_dies_and_topics_go_on_and_a_new_one_knows_all_again(ros: Graph) -> None:
@@ -316,8 +304,8 @@ async def test_the_master_dies_and_topics_go_on_and_a_new_one_knows_all_again(ro
             await received(listener, x=1.5, y=0.0, theta=0.0)
         await ros.start()
         await daemon.read_log("ros1.registered_again")
-        found = await listed(ros, ODOMETRY)
-        assert {"/robot_0/odom", "/tf", "/rosout", VELOCITY} <= set(found)
+        found = await ros.listed(ODOMETRY)
+        assert {"/robot_0/odom", "/tf", "/rosout", VELOCITY} <= found
         assert "/robot_0/lock" in await ros.lines("rosservice", "list")
         async with ros.node("listen", ODOMETRY, "geometry_msgs/Pose2D") as other:
             await received(other, x=1.5, y=0.0, theta=0.0)
@@ -333,17 +321,17 @@ async def test_the_daemon_starts_before_its_master(ros: Graph) -> None:
         await daemon.read_log("ros1.master_lost")
         await ros.start()
         await daemon.read_log("ros1.master_found")
-        await listed(ros, ODOMETRY)
+        await ros.listed(ODOMETRY)
 
 
 @pytest.mark.long
 async def test_another_node_of_the_same_name_takes_its_place(ros: Graph) -> None:
     async with ros.daemon() as daemon, living_device(daemon.tcp, robot_topics()):
-        await listed(ros, ODOMETRY)
+        await ros.listed(ODOMETRY)
         async with ros.node("idle", "name=hostlink"):
             ended = await daemon.read_log("ros1.ended")
             assert "new node registered with same name" in ended["reason"]
-            await listed(ros, ODOMETRY, is_there=False)
+            await ros.listed(ODOMETRY, is_there=False)
             await asyncio.sleep(1.5)
             assert "xmlrpc reply" in (await ros.run("rosnode", "ping", "-c", "1", "/hostlink"))[1]
         assert daemon.child.returncode is None
@@ -352,7 +340,7 @@ async def test_another_node_of_the_same_name_takes_its_place(ros: Graph) -> None
 @pytest.mark.long
 async def test_the_end_of_the_daemon_leaves_nothing_in_the_graph(ros: Graph) -> None:
     async with ros.daemon() as daemon, living_device(daemon.tcp, robot_topics()):
-        await listed(ros, ODOMETRY)
+        await ros.listed(ODOMETRY)
         assert await daemon.end(signal.SIGTERM) == 0
     assert "/hostlink" not in (await ros.run("rosnode", "list"))[1]
     assert await ros.lines("rosservice", "list") == []
@@ -361,9 +349,9 @@ async def test_the_end_of_the_daemon_leaves_nothing_in_the_graph(ros: Graph) -> 
 @pytest.mark.long
 async def test_thirty_robots_are_driven_and_registered_again_at_a_new_master(ros: Graph) -> None:
     async with ros.daemon() as daemon, simulated(daemon.tcp, "--robots", "30"):
-        await listed(ros, "/robot_29/odom")
+        await ros.listed("/robot_29/odom")
         for number in range(0, 30, 7):
-            await listed(ros, f"/robot_{number}/cmd_vel")
+            await ros.listed(f"/robot_{number}/cmd_vel")
         async with (
             ros.node("listen", "/robot_29/odom", "nav_msgs/Odometry") as listener,
             ros.node("drive", "/robot_29/cmd_vel", "0.2", "20"),
@@ -375,4 +363,4 @@ async def test_thirty_robots_are_driven_and_registered_again_at_a_new_master(ros
         await daemon.read_log("ros1.master_lost")
         await ros.start()
         await daemon.read_log("ros1.registered_again")
-        await listed(ros, "/robot_29/odom")
+        await ros.listed("/robot_29/odom")

@@ -1,39 +1,22 @@
-"""A daemon that is in no graph loads nothing for one; a daemon that is in one loads nothing once it runs."""
+"""A daemon that is in a graph of ROS 1 loads nothing once it runs."""
 
 import asyncio
-import contextlib
 import signal
 import sys
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 from tests.support.fake_device import pose, robot_topics
-from tests.support.process import HOSTLINK, Process, serve
+from tests.support.process import HOSTLINK, serve
 from tests.support.ros1.debian import graph, living_device
 
 TRACED = (sys.executable, "-X", "importtime", HOSTLINK)
-
-
-@contextlib.asynccontextmanager
-async def served(log: Path, *arguments: str) -> AsyncIterator[Process]:
-    async with serve(*arguments, log=log, program=TRACED) as daemon:
-        yield daemon
-
-
-async def test_without_a_graph_nothing_of_it_is_imported(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    async with served(log) as daemon, living_device(daemon.tcp, robot_topics()):
-        assert await daemon.end(signal.SIGTERM) == 0
-    lines = log.read_text().splitlines()
-    assert any("hostlink.hub.hub" in line for line in lines)
-    assert [line for line in lines if "hostlink.graphs" in line or "xmlrpc" in line] == []
 
 
 async def test_in_a_graph_nothing_is_imported_once_the_node_has_started(tmp_path: Path) -> None:
     log = tmp_path / "log"
     async with (
         graph(tmp_path) as ros,
-        served(log, "--ros1", ros.url) as daemon,
+        serve("--ros1", ros.url, log=log, program=TRACED) as daemon,
         living_device(daemon.tcp, robot_topics()) as robot,
         ros.node("listen", "/robot_0/odometry", "geometry_msgs/Pose2D") as listener,
         ros.node("drive", "/robot_0/velocity_commands", "0.2", "20"),

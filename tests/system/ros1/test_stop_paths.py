@@ -41,6 +41,7 @@ class Driven:
     daemon: Process
     driver: Node
     robot: FakeDevice
+    node_uri: str  # of the daemon
     heard: list[tuple[float, float]] = field(default_factory=list)
 
     async def listen(self) -> None:
@@ -59,7 +60,7 @@ class Driven:
                 self.driver.send(str(each))
                 await asyncio.sleep(LEASE_S)
 
-    async def stands_after(self, end: Callable[[], Awaitable[None]], limit_s: float) -> None:
+    async def stands_after(self, end: "End", limit_s: float) -> None:
         """Check that the robot moves until `end`, gets its zero within the limit, and no other velocity afterwards.
 
         The time in which the test, the daemon or the driver waited for a core is left out.
@@ -67,13 +68,16 @@ class Driven:
         await self.drives(0.25)
         began_s, watch = time.monotonic(), Stopwatch(self.daemon.pid, self.driver.child.pid)
         async with meanwhile(watch.sampling()):
-            await end()
+            await end(self)
             await expect(lambda: self.speed == 0.0)
         moving_s = max(at_s for at_s, speed in self.heard if speed)
         zero_s = min(at_s for at_s, speed in self.heard if not speed and at_s > moving_s)
         after_s = zero_s - began_s - watch.kept_s
         assert after_s < limit_s, f"the zero came after {after_s:.3f} s"
         await expect_never(lambda: self.speed != 0.0, for_s=0.8)
+
+
+End = Callable[[Driven], Awaitable[None]]
 
 
 @contextlib.asynccontextmanager
@@ -92,7 +96,7 @@ async def driven(folder: Path, *, is_flooded: bool) -> AsyncIterator[Driven]:
         driver = await stack.enter_async_context(ros.node("drive", VELOCITY, "0.25", "20"))
         if is_flooded:
             await flooding(daemon)
-        made = Driven(ros, daemon, driver, robot)
+        made = Driven(ros, daemon, driver, robot, await ros.slave_uri("/hostlink"))
         tasks = await stack.enter_async_context(asyncio.TaskGroup())
         listening = tasks.create_task(made.listen())
         try:
@@ -131,47 +135,41 @@ BESIDE_A_FLOOD = pytest.param(True, marks=pytest.mark.long, id="beside a flood")
 flooded = pytest.mark.parametrize("is_flooded", [pytest.param(False, id="alone"), BESIDE_A_FLOOD])
 
 
-@flooded
-async def test_a_driver_that_is_killed(tmp_path: Path, is_flooded: bool) -> None:
-    async with driven(tmp_path, is_flooded=is_flooded) as made:
+def signalled(number: signal.Signals) -> End:
+    async def end(made: Driven) -> None:
+        made.driver.signal(number)
 
-        async def end() -> None:
-            made.driver.signal(signal.SIGKILL)
-
-        await made.stands_after(end, AT_ONCE_S)
+    return end
 
 
-@flooded
-async def test_a_driver_that_falls_silent_and_stays_connected(tmp_path: Path, is_flooded: bool) -> None:
-    """Like a network that is cut or a process that hangs, without any report of it."""
-    async with driven(tmp_path, is_flooded=is_flooded) as made:
-
-        async def end() -> None:
-            made.driver.signal(signal.SIGSTOP)
-
-        await made.stands_after(end, LEASE_S + LATE_S)
+async def forgotten(made: Driven) -> None:
+    """The master names the driver no more."""
+    assert (await call(made.node_uri, "publisherUpdate", "/master", VELOCITY, []))[0] == 1
 
 
-@pytest.mark.long  # a killed driver closes its connection, too
-@flooded
-async def test_a_driver_that_ends_in_order(tmp_path: Path, is_flooded: bool) -> None:
-    async with driven(tmp_path, is_flooded=is_flooded) as made:
-
-        async def end() -> None:
-            made.driver.signal(signal.SIGINT)
-
-        await made.stands_after(end, LEASE_S + LATE_S)
+async def shut_down(made: Driven) -> None:
+    """`rosnode kill` ends the daemon's node."""
+    await call(made.node_uri, "shutdown", "/rosnode", "user request")
 
 
 @flooded
-async def test_a_driver_whom_the_master_names_no_more(tmp_path: Path, is_flooded: bool) -> None:
+@pytest.mark.parametrize(
+    ("end", "limit_s"),
+    [
+        pytest.param(signalled(signal.SIGKILL), AT_ONCE_S, id="killed"),
+        # Like a network that is cut or a process that hangs, without any report of it.
+        pytest.param(signalled(signal.SIGSTOP), LEASE_S + LATE_S, id="silent"),
+        # A killed driver closes its connection, too.
+        pytest.param(signalled(signal.SIGINT), LEASE_S + LATE_S, marks=pytest.mark.long, id="in order"),
+        pytest.param(forgotten, AT_ONCE_S, id="forgotten by the master"),
+        pytest.param(shut_down, AT_ONCE_S, id="the daemon's node is killed"),
+    ],
+)
+async def test_robot_stands_after_the_end_of_its_driver(
+    tmp_path: Path, end: End, limit_s: float, is_flooded: bool
+) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:
-        uri = await made.ros.slave_uri("/hostlink")
-
-        async def end() -> None:
-            assert (await call(uri, "publisherUpdate", "/master", VELOCITY, []))[0] == 1
-
-        await made.stands_after(end, AT_ONCE_S)
+        await made.stands_after(end, limit_s)
 
 
 @pytest.mark.long
@@ -184,32 +182,13 @@ async def test_a_driver_beside_a_dead_master_drives_on_until_it_is_killed(tmp_pa
         made.driver.send("0.2")
         await made.drives(0.2)
         made.driver.send("0.25")
-
-        async def end() -> None:
-            made.driver.signal(signal.SIGKILL)
-
-        await made.stands_after(end, AT_ONCE_S)
-
-
-@flooded
-async def test_the_daemons_node_that_is_killed_by_rosnode(tmp_path: Path, is_flooded: bool) -> None:
-    async with driven(tmp_path, is_flooded=is_flooded) as made:
-        uri = await made.ros.slave_uri("/hostlink")
-
-        async def end() -> None:
-            await call(uri, "shutdown", "/rosnode", "user request")
-
-        await made.stands_after(end, AT_ONCE_S)
+        await made.stands_after(signalled(signal.SIGKILL), AT_ONCE_S)
 
 
 async def test_a_daemon_that_is_killed_while_a_program_of_ros_drives(tmp_path: Path) -> None:
     async with driven(tmp_path, is_flooded=False) as made:
-
-        async def end() -> None:
-            os.kill(made.daemon.child.pid, signal.SIGKILL)
-
         await made.drives(0.25)
-        await end()
+        os.kill(made.daemon.pid, signal.SIGKILL)
         with contextlib.suppress(EOFError, ConnectionError):
             await expect(lambda: made.speed == 0.0)
         assert made.speed == 0.0

@@ -30,14 +30,12 @@ def environment() -> Iterator[dict[str, str]]:
         yield found
 
 
-async def repeat_until(
-    is_so: Callable[[], object], act: Callable[[], Awaitable[object]], *, every_s: float = 0.05
-) -> None:
+async def repeat_until(is_so: Callable[[], object], act: Callable[[], Awaitable[object]]) -> None:
     """Do it again and again until this is true."""
     async with asyncio.timeout(DISCOVERY_S):
         while not is_so():
             await act()
-            await asyncio.sleep(every_s)
+            await asyncio.sleep(0.05)
 
 
 async def drive(other: Peer, name: str, linear_m_s: float, left_m_s: float = 0.0) -> None:
@@ -258,13 +256,13 @@ async def test_parameters_are_the_node_s_and_setting_one_there_sets_it_here(envi
         async def until_read(gain: float) -> list[object]:
             async with asyncio.timeout(DISCOVERY_S):
                 while True:
-                    read = await other.answer("get_parameters", "parameters", node="/hostlink", names=names)
-                    if read["values"][0] == gain:
-                        return list(read["values"])
+                    read = await other.answer("param", "param", verb="get", node="/hostlink", names=names)
+                    if read["lines"][0] == gain:
+                        return list(read["lines"])
 
         assert await until_read(1.5) == [1.5, "a", [1.0, 2.0]]
-        done = await other.answer("set_parameter", "parameter_set", node="/hostlink", name="robot_0.gain", value=2.5)
-        assert done["is_right"]
+        changed = {"verb": "set", "names": ["robot_0.gain"], "values": ["2.5"]}
+        assert (await other.answer("param", "param", node="/hostlink", **changed))["lines"] == [True]
         await expect(lambda: server.hub.parameters["/robot_0/gain"] == 2.5)
         await me.call("/rosapi/set_param", {"name": "/robot_0/gain", "value": "3.5"})
         await until_read(3.5)

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import signal
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,8 @@ from tests.support.process import free_port, serve
 from tests.support.proxy import Line, proxy
 from tests.support.ros2 import DISCOVERY_S, Bridge, Peer, bridge, domain, peer
 from tests.support.simulated import simulated_robot
-from tests.support.waiting import expect, expect_never
+from tests.support.stopwatch import Stopwatch
+from tests.support.waiting import expect, expect_never, is_true_within
 
 pytestmark = [pytest.mark.quiet, pytest.mark.timeout(200)]
 
@@ -45,18 +46,18 @@ class World:
         return self.server.hub.robots.find("robot_0").gate
 
     async def until_stopped(self) -> float:
-        """Return the seconds until the robot has no driver and its commanded velocity is zero."""
-        loop = asyncio.get_running_loop()
-        begun_s = loop.time()
+        """Return the seconds until the robot has no driver or its commanded velocity is zero."""
+        watch = Stopwatch()
         await expect(lambda: self.gate.owner is None or self.gate.target.is_zero)
-        return loop.time() - begun_s
+        return watch.seconds
 
-    async def drives_after_a_zero_and_not_for(self, seconds: float) -> None:
+    async def drives_after_a_zero_and_not_for(self, seconds: float, watch: Stopwatch) -> None:
         """Check that a continued stream does not drive, and that one that begins after a zero does."""
-        await expect_never(lambda: self.gate.owner is not None, for_s=seconds)
+        await drives_nothing(lambda: self.gate.owner is not None, seconds, watch)
         await self.driver.do("silence", topic=CMD_VEL)
+        admitted = self.gate.counts.commands
         await drive(self.driver, linear_m_s=0.0)
-        await asyncio.sleep(0.2)
+        await expect(lambda: self.gate.counts.commands > admitted)
         await self.driver.do("silence", topic=CMD_VEL)
         await drive(self.driver)
         await expect(lambda: self.gate.owner is not None and not self.gate.target.is_zero)
@@ -66,6 +67,17 @@ async def drive(other: Peer, topic: str = CMD_VEL, *, type_name: str = TWIST, li
     velocity: dict[str, Any] = {"linear": {"x": linear_m_s}}
     message = {"twist": velocity} if type_name.endswith("Stamped") else velocity
     await other.do("publish", topic=topic, type=type_name, msg=message, rate_hz=20, await_subscriber=True)
+
+
+def watched(*programs: Bridge | Peer) -> Stopwatch:
+    """Return a stopwatch of the programs that a stream passes, from now on."""
+    return Stopwatch(*(program.child.pid for program in programs))
+
+
+async def drives_nothing(is_driven: Callable[[], object], for_s: float, watch: Stopwatch) -> None:
+    """Check that a continued stream does not drive, unless it paused for a lease because it waited for a core."""
+    if await is_true_within(is_driven, for_s):
+        assert watch.kept_s > LEASE_S, "the stream from before drives"
 
 
 @contextlib.asynccontextmanager
@@ -84,16 +96,13 @@ async def driven(environment: dict[str, str]) -> AsyncIterator[World]:
         yield world
 
 
-@pytest.mark.long
-async def test_a_publisher_that_leaves_stops_the_robot(environment: dict[str, str]) -> None:
+@pytest.mark.parametrize("how", [pytest.param("leaves", marks=pytest.mark.long), "is killed"])
+async def test_robot_whose_publisher_is_gone_is_stopped(environment: dict[str, str], how: str) -> None:
     async with driven(environment) as world:
-        await world.driver.do("unpublish", topic=CMD_VEL)
-        assert await world.until_stopped() < LEASE_S + LATE_S
-
-
-async def test_a_publisher_that_is_killed_stops_the_robot(environment: dict[str, str]) -> None:
-    async with driven(environment) as world:
-        world.driver.child.kill()
+        if how == "leaves":
+            await world.driver.do("unpublish", topic=CMD_VEL)
+        else:
+            world.driver.child.kill()
         assert await world.until_stopped() < LEASE_S + LATE_S
 
 
@@ -141,9 +150,10 @@ async def test_a_stream_drives_on_after_a_zero_when_the_bridge_stood_still(envir
         world.bridge.child.send_signal(signal.SIGSTOP)
         await world.until_stopped()
         await asyncio.sleep(0.5)
+        watch = watched(world.driver, world.bridge)
         world.bridge.child.send_signal(signal.SIGCONT)
         await expect(lambda: world.bridge.has_reported("velocity refused: disarmed"))
-        await world.drives_after_a_zero_and_not_for(0.5)
+        await world.drives_after_a_zero_and_not_for(0.5, watch)
 
 
 @pytest.mark.long
@@ -157,10 +167,11 @@ async def test_a_device_that_connects_again_is_not_driven_by_the_stream_of_befor
             await expect(lambda: server.hub.robots.find("robot_0").link is not None)
             await drive(driver)
             await expect(lambda: server.hub.robots.find("robot_0").gate.owner is not None, timeout_s=DISCOVERY_S)
+        watch = watched(driver, process)
         async with simulated_robot(server.tcp) as body:
             await expect(lambda: server.hub.robots.find("robot_0").link is not None)
             await expect(lambda: process.has_reported("velocity refused: disarmed"), timeout_s=DISCOVERY_S)
-            await expect_never(lambda: abs(body.speed_m_s) > 0.005, for_s=1.0)
+            await drives_nothing(lambda: abs(body.speed_m_s) > 0.005, 1.0, watch)
             await driver.do("silence", topic=CMD_VEL)
             await asyncio.sleep(LEASE_S + 0.2)
             await drive(driver)
@@ -184,10 +195,11 @@ async def test_a_daemon_that_is_killed_and_started_again_is_found_again_and_move
         first.child.kill()
         await expect(lambda: process.has_reported("is lost"))
         await expect(lambda: abs(body.speed_m_s) < 0.005)
+        watch = watched(driver, process)
         async with serve(*ports) as second:
             await second.read_log("robot.appeared")
             await expect(lambda: process.has_reported(" again"), timeout_s=DISCOVERY_S)
-            await expect_never(lambda: abs(body.speed_m_s) > 0.005, for_s=1.5)
+            await drives_nothing(lambda: abs(body.speed_m_s) > 0.005, 1.5, watch)
             await driver.do("silence", topic=CMD_VEL)
             await asyncio.sleep(LEASE_S + 0.2)
             await drive(driver)
@@ -196,25 +208,27 @@ async def test_a_daemon_that_is_killed_and_started_again_is_found_again_and_move
 
 @pytest.mark.parametrize("line", [pytest.param(Line.SWALLOWS, marks=pytest.mark.long), Line.STALLS])
 async def test_a_network_that_is_cut_stops_the_robot(environment: dict[str, str], line: Line) -> None:
-    async with daemon(Config()) as server:
-        host, _, port = server.url.removeprefix("http://").rpartition(":")
-        async with (
-            simulated_robot(server.tcp),
-            proxy((host, int(port))) as between,
-            bridge(environment, between.url) as process,
-            peer(environment, "driver") as driver,
-        ):
-            await expect(lambda: server.hub.robots.has("robot_0"))
-            gate = server.hub.robots.find("robot_0").gate
-            await drive(driver)
-            await expect(lambda: gate.owner is not None, timeout_s=DISCOVERY_S)
-            between.set_line(line)
-            await expect(lambda: gate.owner is None, timeout_s=LEASE_S + LATE_S)
-            await expect(lambda: process.has_reported("is lost"))
-            await asyncio.sleep(LEASE_S + 0.1)  # what is on its way is younger until then
-            between.set_line(Line.WORKS)
-            await expect(lambda: process.has_reported(" again"), timeout_s=DISCOVERY_S)
-            await expect_never(lambda: gate.owner is not None, for_s=1.0)
+    async with (
+        daemon(Config()) as server,
+        simulated_robot(server.tcp),
+        proxy(server.url) as between,
+        bridge(environment, between.url) as process,
+        peer(environment, "driver") as driver,
+    ):
+        await expect(lambda: server.hub.robots.has("robot_0"))
+        gate = server.hub.robots.find("robot_0").gate
+        await drive(driver)
+        await expect(lambda: gate.owner is not None, timeout_s=DISCOVERY_S)
+        watch = watched(driver, process)
+        between.set_line(line)
+        await expect(lambda: gate.owner is None)
+        assert watch.seconds < LEASE_S + LATE_S
+        await expect(lambda: process.has_reported("is lost"))
+        await asyncio.sleep(LEASE_S + 0.1)  # what is on its way is younger until then
+        watch = watched(driver, process)
+        between.set_line(Line.WORKS)
+        await expect(lambda: process.has_reported(" again"), timeout_s=DISCOVERY_S)
+        await drives_nothing(lambda: gate.owner is not None, 1.0, watch)
 
 
 @pytest.mark.long
@@ -267,6 +281,7 @@ async def test_a_stream_that_went_on_through_a_lock_drives_after_a_zero_and_not_
         robot = world.server.hub.robots.find("robot_0")
         robot.lock("a person is near")
         await expect(lambda: world.bridge.has_reported("a person is near"))
+        watch = watched(world.driver, world.bridge)
         robot.unlock()
         await expect(lambda: world.bridge.has_reported("velocity refused: disarmed"))
-        await world.drives_after_a_zero_and_not_for(1.0)
+        await world.drives_after_a_zero_and_not_for(1.0, watch)

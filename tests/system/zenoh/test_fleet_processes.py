@@ -101,15 +101,6 @@ async def test_three_daemons_show_thirty_robots_and_drive_across_within_ten_mill
         assert far["p99"] < max(10.0, 4 * near["p99"]), (far, near)
 
 
-async def test_a_daemon_without_zenoh_imports_none_of_it(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    async with serve(log=log, program=(sys.executable, "-X", "importtime", HOSTLINK)) as daemon:
-        await daemon.end(signal.SIGTERM)
-    imported = [line for line in log.read_text().splitlines() if line.startswith("import time")]
-    assert len(imported) > 100
-    assert [line for line in imported if "zenoh" in line or "graphs" in line] == []
-
-
 async def test_daemon_with_zenoh_that_runs_imports_nothing_more(tmp_path: Path) -> None:
     async with _imports(tmp_path, [free_port(), free_port()]) as log:
         late = log.read_text().split("daemon.started", 1)[1].splitlines()

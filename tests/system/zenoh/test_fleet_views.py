@@ -12,12 +12,11 @@ from hostlink.config import Config, LinkConfig
 from hostlink.errors import CommandRefused, RefusalKind
 from tests.support.browser import visit
 from tests.support.fake_device import fake_device, pose, repeating, robot_topics
-from tests.support.process import HOSTLINK, run
-from tests.support.screen import screen
+from tests.support.process import run
 from tests.support.waiting import expect
 from tests.support.zenoh_fleet import fleet, shown
 
-pytestmark = [pytest.mark.quiet, pytest.mark.timeout(60)]
+pytestmark = pytest.mark.quiet
 
 STILL = (0.0, 0.0)
 
@@ -67,8 +66,9 @@ async def test_a_script_drives_and_reads_a_robot_of_another_daemon() -> None:
             assert (await anext(poses))["pose"]["x_m"] == 2.5
             await robot.drive(0.2, 0.0)
             assert await device.velocity_other_than(STILL) == (0.2, 0.0)
-            await asyncio.sleep(1.0)  # it is repeated
-            assert b.hub.robots.find_here("robot_7").gate.owner is not None
+            gate = b.hub.robots.find_here("robot_7").gate
+            await expect(lambda: gate.counts.commands > 5)  # it is repeated
+            assert gate.owner is not None
             await robot.stop()
             assert await device.velocity_other_than((0.2, 0.0)) == STILL
             await robot.lock("a test")
@@ -83,7 +83,11 @@ async def test_a_script_drives_and_reads_a_robot_of_another_daemon() -> None:
 
 
 async def test_commands_reach_a_robot_of_another_daemon() -> None:
-    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+    async with (
+        fleet("a", "b") as (a, b),
+        fake_device(b.tcp, robot_topics("robot_7")) as device,
+        repeating(device, pose(0.0)),  # else its link ends before the commands on a busy machine
+    ):
         await shown(a, "robot_7")
         await expect(lambda: a.hub.topics.find_or_none("/robot_7/odometry"))
         status, out, _ = await run("top", "--once", "--url", a.url)
@@ -103,18 +107,3 @@ async def test_commands_reach_a_robot_of_another_daemon() -> None:
             status, _, error = await publishing
             assert status == 0, error
         assert await device.velocity_other_than((0.2, 0.0)) == STILL
-
-
-async def test_keys_drive_a_robot_of_another_daemon() -> None:
-    async with (
-        fleet("a", "b") as (a, b),
-        fake_device(b.tcp, robot_topics("robot_7")) as device,
-        screen() as terminal,
-    ):
-        await shown(a, "robot_7")
-        await terminal.keys(f"{HOSTLINK} teleop robot_7 --url {a.url}", "Enter")
-        await terminal.shows("hostlink teleop   robot_7   connected")
-        await terminal.keys("w")
-        linear, _ = await device.velocity_other_than(STILL)
-        assert linear > 0
-        await device.velocity_of(STILL)
