@@ -23,9 +23,8 @@ def layout(*fields: Field) -> Layout:
 
 
 def every_type() -> list[MessageType]:
-    names = sorted({*CATALOG._standard, *CATALOG._message_files})
-    services = [CATALOG.service(name) for name in sorted(CATALOG._service_files)]
-    found = [CATALOG.message(name) for name in names]
+    services = map(CATALOG.service, CATALOG.service_names())
+    found = [CATALOG.message(name) for name in CATALOG.message_names()]
     found += [part for service in services if service is not None for part in (service.request, service.response)]
     return [type_ for type_ in found if type_ is not None]
 

@@ -77,7 +77,7 @@ def test_signature_of_a_publisher_that_left_is_unknown() -> None:
     assert removed.publisher is not None
     assert graph.publisher(gid_of(key_of("aa")), SUBJECT) is None
     assert graph.remove(key_of("aa")) is None
-    assert len(graph._tokens) == 0
+    assert graph.publishers(SUBJECT) == []
 
 
 def test_of_those_that_drew_their_gids_any_may_be_the_one_that_is_gone() -> None:
@@ -113,7 +113,7 @@ def test_token_of_another_graph_is_counted(key: str) -> None:
 def test_nodes_of_other_hosts_of_hostlink_are_left_out() -> None:
     graph = graph_of()
     assert graph.add(key_of("aa", enclave=OWN_ENCLAVE)) is None
-    assert len(graph._tokens) == 0
+    assert graph.publishers(SUBJECT) == []
     assert not graph.counts
 
 
@@ -123,13 +123,13 @@ def test_tokens_are_bounded_for_each_session_and_for_all(monkeypatch: pytest.Mon
     graph = RemoteGraph(0, Counter())
     for number in range(6):
         graph.add(key_of("aa", topic=f"/topic_{number}"))
-    assert len(graph._tokens) == 3
+    assert sum(len(graph.publishers((f"/topic_{number}", SUBJECT[1]))) for number in range(6)) == 3
     for number in range(6):
         graph.add(key_of(f"b{number}"))
-    assert len(graph._tokens) == 5
+    assert len(graph.publishers(SUBJECT)) == 2
     assert graph.counts["crowded_tokens"] == 7
     graph.clear()
-    assert len(graph._tokens) == 0
+    assert graph.publishers(SUBJECT) == []
     assert graph.add(key_of("aa")) is not None
 
 

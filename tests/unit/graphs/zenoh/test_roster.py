@@ -83,7 +83,7 @@ def test_a_daemon_that_is_reached_again_has_connected_robots_once_it_sends() -> 
     assert known.connected_at("r") == ()
     known.receive(A, state("r"), 2.1)
     assert known.connected_at("r") == ("a",)
-    assert list(known._by_name) == ["r"]
+    assert (known.place("r") is None, known.place("s") is None) == (False, True)
     assert known.forget(1000.0) == set()
 
 
@@ -109,7 +109,7 @@ def test_a_robot_that_is_listed_no_more_is_forgotten() -> None:
     known, _ = roster(A)
     known.receive(A, state("r", "s"), 0.0)
     assert known.receive(A, state("s"), 0.0) == {"r", "s"}
-    assert list(known._by_name) == ["s"]
+    assert (known.place("r") is None, known.place("s") is None) == (True, False)
 
 
 def test_a_motion_changes_only_robots_that_are_listed() -> None:
@@ -132,7 +132,7 @@ def test_a_robot_with_another_robot_s_topics_is_refused() -> None:
         for change in ({"name": "s"}, {"reset_topic": "/tf"}, {"odometry_topic": "/rx/odom"})
     )
     known.receive(A, State(sent_s=0.0, topics=0, robots=robots), 0.0)
-    assert known._by_name == {}
+    assert [known.place(name) for name in ("r", "s")] == [None, None]
     assert counts["foreign_topics"] == 3
 
 
@@ -148,7 +148,8 @@ def test_the_number_of_robots_is_bounded() -> None:
     known, counts = roster(*senders)
     for number, sender in enumerate(senders):
         known.receive(sender, state(*(f"r_{number}_{robot}" for robot in range(256))), 0.0)
-    assert len(known._by_name) == MAX_REMOTE_ROBOTS
+    names = [f"r_{number}_{robot}" for number in range(17) for robot in range(256)]
+    assert sum(known.place(name) is not None for name in names) == MAX_REMOTE_ROBOTS
     assert counts["excess_robots"] == 17 * 256 - MAX_REMOTE_ROBOTS
 
 
@@ -159,5 +160,5 @@ def test_daemons_that_come_and_go_are_forgotten() -> None:
         known.appear(sender, 0.0)
         known.receive(sender, state(f"r_{number}"), 0.0)
         known.leave(sender.zid, 0.0)
-    assert len(known._by_name) == MAX_GONE
+    assert sum(known.place(f"r_{number}") is not None for number in range(10 * MAX_GONE)) == MAX_GONE
     assert known.leave("none", 0.0) == set()
