@@ -9,10 +9,16 @@ The standard library has no loop with a virtual clock, and this one also reports
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+import functools
+import inspect
+from collections.abc import Awaitable, Callable, Coroutine
+from contextlib import AbstractAsyncContextManager
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 Result = TypeVar("Result")
+World = TypeVar("World")
+Arguments = ParamSpec("Arguments")
+Settings = ParamSpec("Settings")
 
 
 class Deadlock(AssertionError):
@@ -23,6 +29,53 @@ def run_virtual(coroutine: Coroutine[Any, Any, Result]) -> Result:
     """Run to the end in a loop of its own; tasks that are left are cancelled. For plain `def` tests."""
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         return runner.run(coroutine)
+
+
+def virtual(test: Callable[Arguments, Coroutine[Any, Any, None]]) -> Callable[Arguments, None]:
+    """Decorator of a test that is a coroutine: it runs in virtual time."""
+
+    @functools.wraps(test)
+    def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
+        run_virtual(test(*args, **kwargs))
+
+    return run
+
+
+def inside(
+    play: Callable[Concatenate[Callable[[World], Awaitable[None]], Settings], None],
+    *settings: Settings.args,
+    **named: Settings.kwargs,
+) -> Callable[[Callable[Concatenate[World, Arguments], Awaitable[None]]], Callable[Arguments, None]]:
+    """Decorator of a test that is a coroutine: `play` runs it with what it makes, which is the first argument.
+
+    The other arguments are those of pytest.
+    """
+
+    def decorate(test: Callable[Concatenate[World, Arguments], Awaitable[None]]) -> Callable[Arguments, None]:
+        @functools.wraps(test)
+        def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
+            play(lambda world: test(world, *args, **kwargs), *settings, **named)
+
+        whole = inspect.signature(test)
+        run.__signature__ = whole.replace(parameters=list(whole.parameters.values())[1:])  # type: ignore[attr-defined]
+        return run
+
+    return decorate
+
+
+def within(
+    world: Callable[Settings, AbstractAsyncContextManager[World]], *settings: Settings.args, **named: Settings.kwargs
+) -> Callable[[Callable[Concatenate[World, Arguments], Awaitable[None]]], Callable[Arguments, None]]:
+    """Decorator of a test that is a coroutine: it runs in virtual time, in the block of `world`, its first argument."""
+
+    def play(test: Callable[[World], Awaitable[None]]) -> None:
+        async def run() -> None:
+            async with world(*settings, **named) as made:
+                await test(made)
+
+        run_virtual(run())
+
+    return inside(play)
 
 
 class VirtualLoop(asyncio.BaseEventLoop):

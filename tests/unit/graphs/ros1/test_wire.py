@@ -14,7 +14,7 @@ from hostlink.graphs.ros1.tcpros import decode_header, encode_message
 from hostlink.hub.hub import Hub
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import inside, run_virtual
 
 
 class Scene:
@@ -48,109 +48,93 @@ def check(test: Callable[[Scene], Awaitable[None]], *, reraises: bool = True) ->
         run_virtual(run())
 
 
-def test_wire_names_its_peer_and_passes_messages_on() -> None:
-    async def test(scene: Scene) -> None:
-        assert scene.wire.peer == "10.0.0.9:40000"
-        data = encode_message(b"one") + encode_message(b"two")
-        scene.arrive(data[:9])
-        await asyncio.sleep(0.01)
-        assert scene.messages == [b"one"]
-        scene.arrive(data[9:])
-        await asyncio.sleep(0.01)
-        assert scene.messages == [b"one", b"two"]
-
-    check(test)
+@inside(check)
+async def test_wire_names_its_peer_and_passes_messages_on(scene: Scene) -> None:
+    assert scene.wire.peer == "10.0.0.9:40000"
+    data = encode_message(b"one") + encode_message(b"two")
+    scene.arrive(data[:9])
+    await asyncio.sleep(0.01)
+    assert scene.messages == [b"one"]
+    scene.arrive(data[9:])
+    await asyncio.sleep(0.01)
+    assert scene.messages == [b"one", b"two"]
 
 
-def test_small_messages_are_read_in_pieces_and_a_large_one_at_once() -> None:
-    async def test(scene: Scene) -> None:
-        small = encode_message(bytes(12))
-        scene.arrive(small * 100)
-        await asyncio.sleep(0.01)
-        assert scene.messages == [bytes(12)] * 100
-        assert max(map(len, scene.received)) == PIECE_BYTES // len(small)
-        scene.received.clear()
-        large = encode_message(bytes(10 * PIECE_BYTES))
-        scene.arrive(large)
-        await asyncio.sleep(0.01)
-        assert scene.received == [[bytes(10 * PIECE_BYTES)]]
-
-    check(test)
+@inside(check)
+async def test_small_messages_are_read_in_pieces_and_a_large_one_at_once(scene: Scene) -> None:
+    small = encode_message(bytes(12))
+    scene.arrive(small * 100)
+    await asyncio.sleep(0.01)
+    assert scene.messages == [bytes(12)] * 100
+    assert max(map(len, scene.received)) == PIECE_BYTES // len(small)
+    scene.received.clear()
+    large = encode_message(bytes(10 * PIECE_BYTES))
+    scene.arrive(large)
+    await asyncio.sleep(0.01)
+    assert scene.received == [[bytes(10 * PIECE_BYTES)]]
 
 
-def test_header_is_written_at_once_and_messages_of_a_turn_together() -> None:
-    async def test(scene: Scene) -> None:
-        scene.wire.send_header({"callerid": "/here"})
-        assert decode_header(bytes(scene.transport.written)[4:]) == {"callerid": "/here"}
-        scene.transport.written.clear()
-        scene.wire.send(b"one")
-        scene.wire.send(b"two")
-        assert scene.transport.written == b""
-        await asyncio.sleep(0)
-        assert scene.transport.written == b"onetwo"
-
-    check(test)
+@inside(check)
+async def test_header_is_written_at_once_and_messages_of_a_turn_together(scene: Scene) -> None:
+    scene.wire.send_header({"callerid": "/here"})
+    assert decode_header(bytes(scene.transport.written)[4:]) == {"callerid": "/here"}
+    scene.transport.written.clear()
+    scene.wire.send(b"one")
+    scene.wire.send(b"two")
+    assert scene.transport.written == b""
+    await asyncio.sleep(0)
+    assert scene.transport.written == b"onetwo"
 
 
-def test_messages_wait_while_writing_is_paused_and_leave_afterwards() -> None:
-    async def test(scene: Scene) -> None:
-        scene.wire.pause_writing()
-        scene.wire.send(bytes(BATCH_BYTES))
-        scene.wire.send(b"last")
-        await asyncio.sleep(0.01)
-        assert (scene.transport.written, bool(scene.wire.outgoing)) == (b"", True)
-        scene.wire.resume_writing()
-        assert scene.transport.written == bytes(BATCH_BYTES) + b"last"
-        scene.wire.send(b"more")
-        await asyncio.sleep(0)
-        assert scene.transport.written.endswith(b"more")
-
-    check(test)
+@inside(check)
+async def test_messages_wait_while_writing_is_paused_and_leave_afterwards(scene: Scene) -> None:
+    scene.wire.pause_writing()
+    scene.wire.send(bytes(BATCH_BYTES))
+    scene.wire.send(b"last")
+    await asyncio.sleep(0.01)
+    assert (scene.transport.written, bool(scene.wire.outgoing)) == (b"", True)
+    scene.wire.resume_writing()
+    assert scene.transport.written == bytes(BATCH_BYTES) + b"last"
+    scene.wire.send(b"more")
+    await asyncio.sleep(0)
+    assert scene.transport.written.endswith(b"more")
 
 
-def test_refused_header_is_answered_with_the_reason_before_the_end() -> None:
-    async def test(scene: Scene) -> None:
-        scene.wire.refuse("unknown topic")
-        assert decode_header(bytes(scene.transport.written)[4:]) == {"error": "unknown topic"}
-        assert (scene.wire.is_closed, scene.transport.is_closed, scene.ends) == (True, True, 1)
-
-    check(test)
+@inside(check)
+async def test_refused_header_is_answered_with_the_reason_before_the_end(scene: Scene) -> None:
+    scene.wire.refuse("unknown topic")
+    assert decode_header(bytes(scene.transport.written)[4:]) == {"error": "unknown topic"}
+    assert (scene.wire.is_closed, scene.transport.is_closed, scene.ends) == (True, True, 1)
 
 
-def test_closed_wire_ends_once_writes_nothing_and_is_aborted_after_a_time() -> None:
-    async def test(scene: Scene) -> None:
-        aborted: list[float] = []
-        transport: Any = scene.transport
-        transport.abort = lambda: aborted.append(asyncio.get_running_loop().time())
-        scene.wire.send(b"late")
-        scene.wire.close()
-        scene.wire.close()
-        await asyncio.sleep(10 * CLOSE_TIMEOUT_S)
-        assert (scene.ends, scene.transport.written, aborted) == (1, b"", [CLOSE_TIMEOUT_S])
-
-    check(test)
+@inside(check)
+async def test_closed_wire_ends_once_writes_nothing_and_is_aborted_after_a_time(scene: Scene) -> None:
+    aborted: list[float] = []
+    transport: Any = scene.transport
+    transport.abort = lambda: aborted.append(asyncio.get_running_loop().time())
+    scene.wire.send(b"late")
+    scene.wire.close()
+    scene.wire.close()
+    await asyncio.sleep(10 * CLOSE_TIMEOUT_S)
+    assert (scene.ends, scene.transport.written, aborted) == (1, b"", [CLOSE_TIMEOUT_S])
 
 
-def test_wire_closes_when_its_peer_is_lost() -> None:
-    async def test(scene: Scene) -> None:
-        scene.wire.connection_lost(None)
-        await asyncio.sleep(0.01)
-        assert (scene.wire.is_closed, scene.ends) == (True, 1)
-
-    check(test)
+@inside(check)
+async def test_wire_closes_when_its_peer_is_lost(scene: Scene) -> None:
+    scene.wire.connection_lost(None)
+    await asyncio.sleep(0.01)
+    assert (scene.wire.is_closed, scene.ends) == (True, 1)
 
 
-def test_fault_of_hostlink_ends_its_wire_alone() -> None:
-    async def test(scene: Scene) -> None:
-        def fail(_: list[bytes]) -> None:
-            raise ZeroDivisionError
+@inside(check, reraises=False)
+async def test_fault_of_hostlink_ends_its_wire_alone(scene: Scene) -> None:
+    def fail(_: list[bytes]) -> None:
+        raise ZeroDivisionError
 
-        scene.wire.receive = fail
-        scene.arrive(encode_message(b"one"))
-        await asyncio.sleep(0.01)
-        assert (scene.wire.is_closed, scene.ends) == (True, 1)
-
-    check(test, reraises=False)
+    scene.wire.receive = fail
+    scene.arrive(encode_message(b"one"))
+    await asyncio.sleep(0.01)
+    assert (scene.wire.is_closed, scene.ends) == (True, 1)
 
 
 class OpenConnection:
@@ -181,3 +165,16 @@ def test_full_port_gives_the_place_of_its_oldest_replaceable_connection(is_repla
     assert port.admits("10.0.0.1")  # a closing connection holds no place
     port.close()
     assert all(each.is_closed for each in port._open)
+
+
+def test_port_admits_addresses_of_allowed_networks_alone() -> None:
+    port = Port(Ros1Counts(), allow=("10.0.0.0/8", "fd00::/8"), max_connections=1)
+    admitted = {
+        address: port.admits(address) for address in ("10.1.2.3", "fd00::1", "127.0.0.1", "11.0.0.1", "fe80::1")
+    }
+    assert [address for address, is_admitted in admitted.items() if is_admitted] == ["10.1.2.3", "fd00::1"]
+
+
+def test_port_without_networks_admits_every_address_while_it_has_room() -> None:
+    assert Port(Ros1Counts(), allow=(), max_connections=1).admits("127.0.0.1")
+    assert not Port(Ros1Counts(), allow=(), max_connections=0).admits("127.0.0.1")
