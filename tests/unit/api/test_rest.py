@@ -2,7 +2,6 @@
 
 import asyncio
 import struct
-from collections.abc import Awaitable, Callable
 
 import pytest
 
@@ -17,18 +16,10 @@ from hostlink.robot.views import RobotView
 from tests.support.fake_device import CATALOG
 from tests.support.participants import VELOCITY_ID
 from tests.support.rest_memory import RestMemory, rest_memory
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import within
 
 VELOCITY = "/api/robots/robot_0/velocity"
 RESET_ID = 101
-
-
-def check(test: Callable[[RestMemory], Awaitable[None]]) -> None:
-    async def run() -> None:
-        async with rest_memory() as api:
-            await test(api)
-
-    run_virtual(run())
 
 
 def speeds(api: RestMemory) -> list[tuple[float, float, float]]:
@@ -37,118 +28,98 @@ def speeds(api: RestMemory) -> list[tuple[float, float, float]]:
     return [(each[0], each[1], each[5]) for each in found]
 
 
-def test_robots_are_listed_with_their_state() -> None:
-    async def test(api: RestMemory) -> None:
-        await api.move_to(1.0, 2.0, 0.5)
-        status, body = await api.call("GET", "/api/robots")
-        (robot,) = body["robots"]
-        assert (status, robot["name"], robot["connected"]) == (200, "robot_0", True)
-        assert robot.keys() == RobotView.__annotations__.keys()
-        assert robot == (await api.call("GET", "/api/robots/robot_0"))[1]
-
-    check(test)
+@within(rest_memory)
+async def test_robots_are_listed_with_their_state(api: RestMemory) -> None:
+    await api.move_to(1.0, 2.0, 0.5)
+    status, body = await api.call("GET", "/api/robots")
+    (robot,) = body["robots"]
+    assert (status, robot["name"], robot["connected"]) == (200, "robot_0", True)
+    assert robot.keys() == RobotView.__annotations__.keys()
+    assert robot == (await api.call("GET", "/api/robots/robot_0"))[1]
 
 
-def test_odometry_has_pose_age_and_count() -> None:
-    async def test(api: RestMemory) -> None:
-        await api.move_to(1.0, 2.0, 0.5)
-        status, body = await api.call("GET", "/api/robots/robot_0/odometry")
-        assert status == 200
-        assert body["pose"] == {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
-        assert body["twist"] == {"linear_m_s": 0.0, "linear_y_m_s": 0.0, "angular_rad_s": 0.0}
-        assert (body["count"], body["age_s"], body["restarts"], body["ignored"]) == (1, 0.05, 0, 0)
-
-    check(test)
+@within(rest_memory)
+async def test_odometry_has_pose_age_and_count(api: RestMemory) -> None:
+    await api.move_to(1.0, 2.0, 0.5)
+    status, body = await api.call("GET", "/api/robots/robot_0/odometry")
+    assert status == 200
+    assert body["pose"] == {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
+    assert body["twist"] == {"linear_m_s": 0.0, "linear_y_m_s": 0.0, "angular_rad_s": 0.0}
+    assert (body["count"], body["age_s"], body["restarts"], body["ignored"]) == (1, 0.05, 0, 0)
 
 
-def test_velocity_reaches_the_device_and_is_answered() -> None:
-    async def test(api: RestMemory) -> None:
-        status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.5})
-        await api.move_to(0, 0, 0)
-        assert (status, body["is_limited"], body["limited_by"]) == (200, False, None)
-        assert body["velocity"] == {"linear_m_s": 0.2, "linear_y_m_s": 0.0, "angular_rad_s": 0.5}
-        assert body["lease_s"] == 0.5
-        assert speeds(api)[-1] == (0.2, 0.0, 0.5)
-        assert api.hub.robots.find("robot_0").gate.priority == 50
-
-    check(test)
+@within(rest_memory)
+async def test_velocity_reaches_the_device_and_is_answered(api: RestMemory) -> None:
+    status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.5})
+    await api.move_to(0, 0, 0)
+    assert (status, body["is_limited"], body["limited_by"]) == (200, False, None)
+    assert body["velocity"] == {"linear_m_s": 0.2, "linear_y_m_s": 0.0, "angular_rad_s": 0.5}
+    assert body["lease_s"] == 0.5
+    assert speeds(api)[-1] == (0.2, 0.0, 0.5)
+    assert api.hub.robots.find("robot_0").gate.priority == 50
 
 
-def test_velocity_over_a_limit_names_the_setting() -> None:
-    async def test(api: RestMemory) -> None:
-        _, body = await api.call("PUT", VELOCITY, {"linear": 9.0, "angular": 0.0, "priority": 7})
-        assert (body["is_limited"], body["limited_by"]) == (True, "max_linear_m_s")
-        assert body["velocity"]["linear_m_s"] < 9.0
-        assert api.hub.robots.find("robot_0").gate.priority == 7
-
-    check(test)
+@within(rest_memory)
+async def test_velocity_over_a_limit_names_the_setting(api: RestMemory) -> None:
+    _, body = await api.call("PUT", VELOCITY, {"linear": 9.0, "angular": 0.0, "priority": 7})
+    assert (body["is_limited"], body["limited_by"]) == (True, "max_linear_m_s")
+    assert body["velocity"]["linear_m_s"] < 9.0
+    assert api.hub.robots.find("robot_0").gate.priority == 7
 
 
-def test_stop_sends_zero_and_reports_standstill() -> None:
-    async def test(api: RestMemory) -> None:
-        await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
-        await api.move_to(0, 0, 0)
-        assert speeds(api)[-1][0] == 0.2
-        status, body = await api.call("POST", "/api/robots/robot_0/stop?wait_s=0.2")
-        assert (status, body["standstill"]["state"]) == (200, "unknown")
-        assert speeds(api)[-1] == (0.0, 0.0, 0.0)
-        status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
-        assert (status, body["error"]["kind"]) == (409, "disarmed")
-
-    check(test)
+@within(rest_memory)
+async def test_stop_sends_zero_and_reports_standstill(api: RestMemory) -> None:
+    await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
+    await api.move_to(0, 0, 0)
+    assert speeds(api)[-1][0] == 0.2
+    status, body = await api.call("POST", "/api/robots/robot_0/stop?wait_s=0.2")
+    assert (status, body["standstill"]["state"]) == (200, "unknown")
+    assert speeds(api)[-1] == (0.0, 0.0, 0.0)
+    status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
+    assert (status, body["error"]["kind"]) == (409, "disarmed")
 
 
-def test_stop_of_all_sends_zero_and_lists_every_robot() -> None:
-    async def test(api: RestMemory) -> None:
-        await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
-        status, body = await api.call("POST", "/api/stop?wait_s=0", role=Role.READ)
-        await api.move_to(0, 0, 0)
-        assert (status, [robot["name"] for robot in body["robots"]]) == (200, ["robot_0"])
-        assert speeds(api)[-1] == (0.0, 0.0, 0.0)
-
-    check(test)
+@within(rest_memory)
+async def test_stop_of_all_sends_zero_and_lists_every_robot(api: RestMemory) -> None:
+    await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
+    status, body = await api.call("POST", "/api/stop?wait_s=0", role=Role.READ)
+    await api.move_to(0, 0, 0)
+    assert (status, [robot["name"] for robot in body["robots"]]) == (200, ["robot_0"])
+    assert speeds(api)[-1] == (0.0, 0.0, 0.0)
 
 
-def test_lock_holds_with_its_reason_until_unlock() -> None:
-    async def test(api: RestMemory) -> None:
-        lock = "/api/robots/robot_0/lock?wait_s=0"
-        status, body = await api.call("POST", lock, {"reason": "a hand in the wheel"})
-        assert status == 200
-        status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
-        assert (status, body["error"]["kind"]) == (409, "locked")
-        assert "a hand in the wheel" in body["error"]["reason"]
-        assert (await api.call("POST", "/api/robots/robot_0/unlock"))[0] == 200
-        status, _ = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, who="another")
-        assert status == 200
-
-    check(test)
+@within(rest_memory)
+async def test_lock_holds_with_its_reason_until_unlock(api: RestMemory) -> None:
+    lock = "/api/robots/robot_0/lock?wait_s=0"
+    status, body = await api.call("POST", lock, {"reason": "a hand in the wheel"})
+    assert status == 200
+    status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
+    assert (status, body["error"]["kind"]) == (409, "locked")
+    assert "a hand in the wheel" in body["error"]["reason"]
+    assert (await api.call("POST", "/api/robots/robot_0/unlock"))[0] == 200
+    status, _ = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, who="another")
+    assert status == 200
 
 
-def test_lock_with_a_wrong_reason_is_refused_and_holds() -> None:
-    async def test(api: RestMemory) -> None:
-        status, _ = await api.call("POST", "/api/robots/robot_0/lock?wait_s=0", {"reason": 7})
-        assert status == 400
-        assert api.hub.robots.find("robot_0").admission.lock_reason is not None
-
-    check(test)
+@within(rest_memory)
+async def test_lock_with_a_wrong_reason_is_refused_and_holds(api: RestMemory) -> None:
+    status, _ = await api.call("POST", "/api/robots/robot_0/lock?wait_s=0", {"reason": 7})
+    assert status == 400
+    assert api.hub.robots.find("robot_0").admission.lock_reason is not None
 
 
-def test_lock_without_a_body_holds() -> None:
-    async def test(api: RestMemory) -> None:
-        assert (await api.call("POST", "/api/robots/robot_0/lock?wait_s=0"))[0] == 200
-        assert api.hub.robots.find("robot_0").admission.lock_reason is not None
-
-    check(test)
+@within(rest_memory)
+async def test_lock_without_a_body_holds(api: RestMemory) -> None:
+    assert (await api.call("POST", "/api/robots/robot_0/lock?wait_s=0"))[0] == 200
+    assert api.hub.robots.find("robot_0").admission.lock_reason is not None
 
 
-def test_reset_of_odometry_is_published_to_the_device() -> None:
-    async def test(api: RestMemory) -> None:
-        status, body = await api.call("POST", "/api/robots/robot_0/odometry/reset")
-        await api.move_to(0, 0, 0)
-        assert (status, body) == (200, {"reset": "/robot_0/reset_odometry"})
-        assert api.device.payloads(RESET_ID) == [b""]
-
-    check(test)
+@within(rest_memory)
+async def test_reset_of_odometry_is_published_to_the_device(api: RestMemory) -> None:
+    status, body = await api.call("POST", "/api/robots/robot_0/odometry/reset")
+    await api.move_to(0, 0, 0)
+    assert (status, body) == (200, {"reset": "/robot_0/reset_odometry"})
+    assert api.device.payloads(RESET_ID) == [b""]
 
 
 @pytest.mark.parametrize(
@@ -178,64 +149,56 @@ def test_reset_of_odometry_is_published_to_the_device() -> None:
         ("DELETE", "/api/robots", b"", 405, "HTTP"),
     ],
 )
-def test_error_has_status_kind_and_reason(method: str, path: str, body: bytes, status: int, kind: str) -> None:
-    async def test(api: RestMemory) -> None:
-        got, error = await api.call(method, path, body)
-        assert (got, error["error"]["kind"]) == (status, kind)
-        assert error["error"]["reason"]
-
-    check(test)
-
-
-def test_token_with_role_read_does_not_drive() -> None:
-    async def test(api: RestMemory) -> None:
-        status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, role=Role.READ)
-        assert (status, body["error"]["kind"]) == (403, "NoRole")
-
-    check(test)
+@within(rest_memory)
+async def test_error_has_status_kind_and_reason(
+    api: RestMemory, method: str, path: str, body: bytes, status: int, kind: str
+) -> None:
+    got, error = await api.call(method, path, body)
+    assert (got, error["error"]["kind"]) == (status, kind)
+    assert error["error"]["reason"]
 
 
-def test_robot_whose_device_left_is_known_and_cannot_be_driven() -> None:
-    async def test(api: RestMemory) -> None:
-        assert (await api.call("GET", "/readyz"))[1] == {"status": "ready"}
-        await api.device.aclose()
-        await asyncio.sleep(0.5)
-        status, body = await api.call("PUT", VELOCITY, {"linear": 0.1, "angular": 0.0})
-        assert (status, body["error"]["kind"]) == (503, "not_connected")
-        assert (await api.call("POST", "/api/robots/robot_0/odometry/reset"))[0] == 503
-        assert (await api.call("GET", "/api/robots/robot_0"))[1]["connected"] is False
-        status, body = await api.call("GET", "/readyz")
-        assert (status, body["error"]) == (503, {"kind": "NotReady", "reason": "not connected: robot_0"})
-
-    check(test)
+@within(rest_memory)
+async def test_token_with_role_read_does_not_drive(api: RestMemory) -> None:
+    status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, role=Role.READ)
+    assert (status, body["error"]["kind"]) == (403, "NoRole")
 
 
-def test_links_topics_clients_and_health_are_shown() -> None:
-    async def test(api: RestMemory) -> None:
-        (link,) = (await api.call("GET", "/api/links"))[1]["links"]
-        assert link["robot"] == "robot_0"
-        assert {"/robot_0/odometry", "/robot_0/velocity_commands"} <= {each["name"] for each in link["topics"]}
-        topics = {each["name"]: each for each in (await api.call("GET", "/api/topics"))[1]["topics"]}
-        assert topics["/robot_0/odometry"]["type"] == "geometry_msgs/Pose2D"
-        assert topics["/robot_0/odometry"]["publishers"] == 1
-        assert (await api.call("GET", "/api/clients"))[1] == {"clients": [], "refused": 0}
-        assert (await api.call("GET", "/healthz"))[1]["status"] == "alive"
+@within(rest_memory)
+async def test_robot_whose_device_left_is_known_and_cannot_be_driven(api: RestMemory) -> None:
+    assert (await api.call("GET", "/readyz"))[1] == {"status": "ready"}
+    await api.device.aclose()
+    await asyncio.sleep(0.5)
+    status, body = await api.call("PUT", VELOCITY, {"linear": 0.1, "angular": 0.0})
+    assert (status, body["error"]["kind"]) == (503, "not_connected")
+    assert (await api.call("POST", "/api/robots/robot_0/odometry/reset"))[0] == 503
+    assert (await api.call("GET", "/api/robots/robot_0"))[1]["connected"] is False
+    status, body = await api.call("GET", "/readyz")
+    assert (status, body["error"]) == (503, {"kind": "NotReady", "reason": "not connected: robot_0"})
 
-    check(test)
+
+@within(rest_memory)
+async def test_links_topics_clients_and_health_are_shown(api: RestMemory) -> None:
+    (link,) = (await api.call("GET", "/api/links"))[1]["links"]
+    assert link["robot"] == "robot_0"
+    assert {"/robot_0/odometry", "/robot_0/velocity_commands"} <= {each["name"] for each in link["topics"]}
+    topics = {each["name"]: each for each in (await api.call("GET", "/api/topics"))[1]["topics"]}
+    assert topics["/robot_0/odometry"]["type"] == "geometry_msgs/Pose2D"
+    assert topics["/robot_0/odometry"]["publishers"] == 1
+    assert (await api.call("GET", "/api/clients"))[1] == {"clients": [], "refused": 0}
+    assert (await api.call("GET", "/healthz"))[1]["status"] == "alive"
 
 
-def test_owners_are_bounded_and_a_removed_one_stops_its_robot() -> None:
-    async def test(api: RestMemory) -> None:
-        await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, who="first")
-        first = api.owners.of("first", Role.DRIVE)
-        for number in range(MAX_OWNERS - 1):
-            api.owners.of(str(number), Role.DRIVE)
-        assert (len(api.owners), api.owners.evicted, first.has_left) == (MAX_OWNERS, 0, False)
-        api.owners.of("one more", Role.DRIVE)
-        assert (len(api.owners), api.owners.evicted, first.has_left) == (MAX_OWNERS, 1, True)
-        assert api.hub.robots.find("robot_0").gate.owner is None
-
-    check(test)
+@within(rest_memory)
+async def test_owners_are_bounded_and_a_removed_one_stops_its_robot(api: RestMemory) -> None:
+    await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, who="first")
+    first = api.owners.of("first", Role.DRIVE)
+    for number in range(MAX_OWNERS - 1):
+        api.owners.of(str(number), Role.DRIVE)
+    assert (len(api.owners), api.owners.evicted, first.has_left) == (MAX_OWNERS, 0, False)
+    api.owners.of("one more", Role.DRIVE)
+    assert (len(api.owners), api.owners.evicted, first.has_left) == (MAX_OWNERS, 1, True)
+    assert api.hub.robots.find("robot_0").gate.owner is None
 
 
 async def test_owner_is_the_same_until_its_token_is_revoked() -> None:

@@ -18,7 +18,7 @@ from hostlink.hub.isolation import Isolation
 from hostlink.hub.queue import MAX_RESULTS
 from hostlink.latency import Latency
 from hostlink.link.fair_share import FairShare, Turns
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, virtual, within
 
 TEXT, BINARY = 0x81, 0x82
 
@@ -169,94 +169,75 @@ def test_frame_head_has_the_shortest_length_field(size_bytes: int, head: bytes) 
     assert frame_head(size_bytes, is_binary=True) == bytes((BINARY,)) + head[1:]
 
 
-def test_messages_of_one_read_are_answered_in_one_write() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            client.socket.put("one", "two", "three")
-            await asyncio.sleep(0.01)
-            assert client.socket.written == [b"\x81\x03one\x81\x03two\x81\x05three"]
-            assert (client.socket.messages_from_client, client.socket.messages_to_client) == (3, 3)
-            assert client.socket.bytes_to_client == len("onetwothree")
-            assert sum(client.latency.counts) == 3
-
-    run_virtual(run())
+@within(connected)
+async def test_messages_of_one_read_are_answered_in_one_write(client: Connected) -> None:
+    client.socket.put("one", "two", "three")
+    await asyncio.sleep(0.01)
+    assert client.socket.written == [b"\x81\x03one\x81\x03two\x81\x05three"]
+    assert (client.socket.messages_from_client, client.socket.messages_to_client) == (3, 3)
+    assert client.socket.bytes_to_client == len("onetwothree")
+    assert sum(client.latency.counts) == 3
 
 
-def test_velocities_of_one_read_only_the_newest_is_executed() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            client.socket.put("a=1", "a=2", "a=3")
-            await asyncio.sleep(0.01)
-            assert (client.program.done, client.replaced) == (["a=3"], 2)
-
-    run_virtual(run())
+@within(connected)
+async def test_velocities_of_one_read_only_the_newest_is_executed(client: Connected) -> None:
+    client.socket.put("a=1", "a=2", "a=3")
+    await asyncio.sleep(0.01)
+    assert (client.program.done, client.replaced) == (["a=3"], 2)
 
 
-def test_messages_of_a_topic_that_are_queued_in_one_turn_are_one_write() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            for word in (b"a", b"b"):
-                client.queue.put_message("topic", Outgoing(word, is_binary=True, before=b"time"))
-            await asyncio.sleep(0.01)
-            assert client.socket.written == [b"\x82\x04time\x82\x01a\x82\x04time\x82\x01b"]
-
-    run_virtual(run())
+@within(connected)
+async def test_messages_of_a_topic_that_are_queued_in_one_turn_are_one_write(client: Connected) -> None:
+    for word in (b"a", b"b"):
+        client.queue.put_message("topic", Outgoing(word, is_binary=True, before=b"time"))
+    await asyncio.sleep(0.01)
+    assert client.socket.written == [b"\x82\x04time\x82\x01a\x82\x04time\x82\x01b"]
 
 
-def test_many_messages_are_written_in_batches() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            for _ in range(SEND_BATCH + 1):
-                client.queue.put_message("topic", Outgoing(b"x"))
-            await asyncio.sleep(0.01)
-            assert [len(data) for data in client.socket.written] == [3 * SEND_BATCH, 3]
-
-    run_virtual(run())
+@within(connected)
+async def test_many_messages_are_written_in_batches(client: Connected) -> None:
+    for _ in range(SEND_BATCH + 1):
+        client.queue.put_message("topic", Outgoing(b"x"))
+    await asyncio.sleep(0.01)
+    assert [len(data) for data in client.socket.written] == [3 * SEND_BATCH, 3]
 
 
-def test_write_ends_with_the_message_that_fills_it() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            for size in (WRITE_BYTES - 1, 1, 1):
-                client.queue.put_message("topic", Outgoing(b"x" * size))
-            await asyncio.sleep(0.01)
-            assert len(client.socket.written) == 2
-
-    run_virtual(run())
+@within(connected)
+async def test_write_ends_with_the_message_that_fills_it(client: Connected) -> None:
+    for size in (WRITE_BYTES - 1, 1, 1):
+        client.queue.put_message("topic", Outgoing(b"x" * size))
+    await asyncio.sleep(0.01)
+    assert len(client.socket.written) == 2
 
 
-def test_messages_wait_while_the_transport_is_full() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            client.socket.is_writing_paused = True
-            client.queue.put_message("topic", Outgoing(b"x"))
-            await asyncio.sleep(0.01)
-            assert client.socket.written == []
-            assert client.queue.waiting_messages == 1
-            client.socket.is_writing_paused = False
-            client.socket.on_writable()
-            await asyncio.sleep(0.01)
-            assert client.written() == [b"x"]
-
-    run_virtual(run())
+@within(connected)
+async def test_messages_wait_while_the_transport_is_full(client: Connected) -> None:
+    client.socket.is_writing_paused = True
+    client.queue.put_message("topic", Outgoing(b"x"))
+    await asyncio.sleep(0.01)
+    assert client.socket.written == []
+    assert client.queue.waiting_messages == 1
+    client.socket.is_writing_paused = False
+    client.socket.on_writable()
+    await asyncio.sleep(0.01)
+    assert client.written() == [b"x"]
 
 
 @pytest.mark.parametrize("is_full", [False, True])
 @pytest.mark.parametrize("read_s", [0.0, 1.0])
-def test_client_that_leaves_before_it_has_read_its_answers_is_let_go(is_full: bool, read_s: float) -> None:
-    async def run() -> None:
-        async with connected() as client:
-            words = [str(number) for number in range(MAX_RESULTS)]
-            client.socket.is_writing_paused = is_full
-            client.socket.put(*words)
-            await asyncio.sleep(read_s)
-            client.socket.closed = True
-            client.socket.messages.put_nowait(WSMessage(WSMsgType.CLOSE, None, None))
-            await asyncio.sleep(0.1)
-            assert client.program.done == words
-            assert client.program.is_closed
-
-    run_virtual(run())
+@within(connected)
+async def test_client_that_leaves_before_it_has_read_its_answers_is_let_go(
+    client: Connected, is_full: bool, read_s: float
+) -> None:
+    words = [str(number) for number in range(MAX_RESULTS)]
+    client.socket.is_writing_paused = is_full
+    client.socket.put(*words)
+    await asyncio.sleep(read_s)
+    client.socket.closed = True
+    client.socket.messages.put_nowait(WSMessage(WSMsgType.CLOSE, None, None))
+    await asyncio.sleep(0.1)
+    assert client.program.done == words
+    assert client.program.is_closed
 
 
 def test_client_that_does_not_read_is_disconnected() -> None:
@@ -298,16 +279,13 @@ def test_client_with_too_many_answers_is_closed_and_logged() -> None:
     assert [line["event"] for line in lines] == ["client.too_slow"]
 
 
-def test_client_whose_participant_ended_is_closed() -> None:
-    async def run() -> Connected | None:
-        client = None
-        with contextlib.suppress(*[ExceptionGroup]):
-            async with connected() as client:
-                client.queue.close()
-                await asyncio.sleep(0.01)
-        return client
-
-    client = run_virtual(run())
+@virtual
+async def test_client_whose_participant_ended_is_closed() -> None:
+    client = None
+    with contextlib.suppress(*[ExceptionGroup]):
+        async with connected() as client:
+            client.queue.close()
+            await asyncio.sleep(0.01)
     assert client is not None
     assert client.socket.close_code == 1011
 
@@ -336,103 +314,79 @@ def test_flood_of_messages_is_refused() -> None:
     assert lines[0]["event"] == "client.too_fast"
 
 
-def test_two_seconds_of_messages_at_once_are_accepted() -> None:
-    async def run() -> None:
-        async with connected(max_messages_s=10.0) as client:
-            client.socket.put(*["x"] * 20)
-            await asyncio.sleep(0.01)
-            assert client.socket.close_code is None
-            assert len(client.program.done) == 20
-
-    run_virtual(run())
+@within(connected, max_messages_s=10.0)
+async def test_two_seconds_of_messages_at_once_are_accepted(client: Connected) -> None:
+    client.socket.put(*["x"] * 20)
+    await asyncio.sleep(0.01)
+    assert client.socket.close_code is None
+    assert len(client.program.done) == 20
 
 
 @pytest.mark.parametrize("answers", [True, False])
-def test_foxglove_client_is_sent_nothing_before_a_pong_or_a_second(answers: bool) -> None:
-    async def run() -> None:
-        async with connected("foxglove") as client:
-            client.queue.put_result(Outgoing(b"hello"))
-            await asyncio.sleep(0.1)
-            assert (client.socket.pings, client.socket.written) == (1, [])
-            if answers:
-                client.socket.messages.put_nowait(WSMessage(WSMsgType.PONG, b"", None))
-                await asyncio.sleep(0.01)
-            else:
-                await asyncio.sleep(READY_TIMEOUT_S)
-            assert client.written() == [b"hello"]
-
-    run_virtual(run())
+@within(connected, "foxglove")
+async def test_foxglove_client_is_sent_nothing_before_a_pong_or_a_second(client: Connected, answers: bool) -> None:
+    client.queue.put_result(Outgoing(b"hello"))
+    await asyncio.sleep(0.1)
+    assert (client.socket.pings, client.socket.written) == (1, [])
+    if answers:
+        client.socket.messages.put_nowait(WSMessage(WSMsgType.PONG, b"", None))
+        await asyncio.sleep(0.01)
+    else:
+        await asyncio.sleep(READY_TIMEOUT_S)
+    assert client.written() == [b"hello"]
 
 
-def test_ping_is_answered() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            client.socket.messages.put_nowait(WSMessage(WSMsgType.PING, b"", None))
-            await asyncio.sleep(0.01)
-            assert client.socket.pongs == 1
-
-    run_virtual(run())
+@within(connected)
+async def test_ping_is_answered(client: Connected) -> None:
+    client.socket.messages.put_nowait(WSMessage(WSMsgType.PING, b"", None))
+    await asyncio.sleep(0.01)
+    assert client.socket.pongs == 1
 
 
-def test_throttled_message_is_sent_when_due() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            now_s = asyncio.get_running_loop().time()
-            client.program.held_back = [(now_s + 2.0, "late"), (now_s + 1.0, "soon")]
-            client.queue.wake()
-            await asyncio.sleep(0.9)
-            assert client.written() == []
-            await asyncio.sleep(0.2)
-            assert client.written() == [b"soon"]
-            await asyncio.sleep(1.0)
-            assert client.written() == [b"soon", b"late"]
-
-    run_virtual(run())
+@within(connected)
+async def test_throttled_message_is_sent_when_due(client: Connected) -> None:
+    now_s = asyncio.get_running_loop().time()
+    client.program.held_back = [(now_s + 2.0, "late"), (now_s + 1.0, "soon")]
+    client.queue.wake()
+    await asyncio.sleep(0.9)
+    assert client.written() == []
+    await asyncio.sleep(0.2)
+    assert client.written() == [b"soon"]
+    await asyncio.sleep(1.0)
+    assert client.written() == [b"soon", b"late"]
 
 
-def test_operations_of_a_client_that_leaves_are_executed() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            client.socket.put("one", "two")
-            await client.leave()
-            assert client.program.done == ["one", "two"]
-
-    run_virtual(run())
+@within(connected)
+async def test_operations_of_a_client_that_leaves_are_executed(client: Connected) -> None:
+    client.socket.put("one", "two")
+    await client.leave()
+    assert client.program.done == ["one", "two"]
 
 
-def test_call_begins_before_the_operations_behind_it() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            words = ["a=1", "call", "a=2", "call", "call", "one"]
-            client.socket.put(*words)
-            await asyncio.sleep(0.01)
-            assert client.program.done == words
-
-    run_virtual(run())
+@within(connected)
+async def test_call_begins_before_the_operations_behind_it(client: Connected) -> None:
+    words = ["a=1", "call", "a=2", "call", "call", "one"]
+    client.socket.put(*words)
+    await asyncio.sleep(0.01)
+    assert client.program.done == words
 
 
-def test_call_of_a_client_that_leaves_begins_before_its_end() -> None:
-    async def run() -> None:
-        async with connected() as client:
-            client.socket.put("one", "call")
-            client.program.close = lambda: client.program.done.append("end")  # type: ignore[method-assign]
-            await client.leave()
-            assert client.program.done == ["one", "call", "end"]
-            client.program.is_closed = client.socket.closed = True
-
-    run_virtual(run())
+@within(connected)
+async def test_call_of_a_client_that_leaves_begins_before_its_end(client: Connected) -> None:
+    client.socket.put("one", "call")
+    client.program.close = lambda: client.program.done.append("end")  # type: ignore[method-assign]
+    await client.leave()
+    assert client.program.done == ["one", "call", "end"]
+    client.program.is_closed = client.socket.closed = True
 
 
-def test_operations_wait_while_answers_have_no_room() -> None:
-    async def run() -> None:
-        async with connected(max_messages_s=1e6) as client:
-            client.socket.is_writing_paused = True
-            client.socket.put(*[json.dumps(number) for number in range(200)])
-            await asyncio.sleep(0.01)
-            assert len(client.program.done) == MAX_RESULTS // 2 + 1
-            client.socket.is_writing_paused = False
-            client.socket.on_writable()
-            await asyncio.sleep(0.01)
-            assert len(client.program.done) == 200
-
-    run_virtual(run())
+@within(connected, max_messages_s=1e6)
+async def test_operations_wait_while_answers_have_no_room(client: Connected) -> None:
+    client.socket.is_writing_paused = True
+    client.socket.put(*[json.dumps(number) for number in range(200)])
+    await asyncio.sleep(0.01)
+    assert len(client.program.done) == MAX_RESULTS // 2 + 1
+    client.socket.is_writing_paused = False
+    client.socket.on_writable()
+    await asyncio.sleep(0.01)
+    assert len(client.program.done) == 200

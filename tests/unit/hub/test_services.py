@@ -9,7 +9,7 @@ from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceFailed, U
 from hostlink.hub.node import Node
 from hostlink.hub.services import MAX_WAITING, DeviceService, Provider, Services
 from tests.support.fake_device import CATALOG
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, virtual
 
 TRIGGER = "std_srvs/Trigger"
 
@@ -29,91 +29,81 @@ def provider(
     return Provider(name, TRIGGER, Node(key, is_daemon=is_daemon), answer, None if notes is None else notes.append)
 
 
-def test_device_service_sends_one_call_at_a_time_in_order() -> None:
-    async def test() -> None:
-        service, sent = device_service()
-        async with asyncio.TaskGroup() as tasks:
-            first = tasks.create_task(service.call(b"1", timeout_s=5.0))
-            second = tasks.create_task(service.call(b"2", timeout_s=5.0))
-            await asyncio.sleep(0.1)
-            assert sent == [b"1"]
-            assert service.is_awaited
-            assert service.answered(b"one")
-            await asyncio.sleep(0.1)
-            assert sent == [b"1", b"2"]
-            assert service.answered(b"two")
-        assert (first.result(), second.result()) == (b"one", b"two")
-        assert not service.is_awaited
-        assert not service.answered(b"three")
-
-    run_virtual(test())
-
-
-def test_call_without_answer_fails_at_its_deadline_and_its_late_answer_is_not_the_next_one_s() -> None:
-    async def test() -> None:
-        service, _ = device_service()
-        loop = asyncio.get_running_loop()
-        with pytest.raises(ServiceFailed, match="2"):
-            await service.call(b"1", timeout_s=2.0)
-        assert loop.time() == pytest.approx(2.0)
+@virtual
+async def test_device_service_sends_one_call_at_a_time_in_order() -> None:
+    service, sent = device_service()
+    async with asyncio.TaskGroup() as tasks:
+        first = tasks.create_task(service.call(b"1", timeout_s=5.0))
+        second = tasks.create_task(service.call(b"2", timeout_s=5.0))
+        await asyncio.sleep(0.1)
+        assert sent == [b"1"]
         assert service.is_awaited
-        async with asyncio.TaskGroup() as tasks:
-            second = tasks.create_task(service.call(b"2", timeout_s=4.0))
-            await asyncio.sleep(0.5)
-            assert not service.answered(b"late")
-            await asyncio.sleep(0.1)
-            assert service.answered(b"two")
-        assert second.result() == b"two"
-
-    run_virtual(test())
+        assert service.answered(b"one")
+        await asyncio.sleep(0.1)
+        assert sent == [b"1", b"2"]
+        assert service.answered(b"two")
+    assert (first.result(), second.result()) == (b"one", b"two")
+    assert not service.is_awaited
+    assert not service.answered(b"three")
 
 
-def test_late_answer_that_never_arrives_delays_the_next_call_by_half_its_time() -> None:
-    async def test() -> None:
-        service, sent = device_service()
-        with pytest.raises(ServiceFailed):
-            await service.call(b"1", timeout_s=1.0)
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(service.call(b"2", timeout_s=4.0))
-            await asyncio.sleep(1.9)
-            assert sent == [b"1"]
-            await asyncio.sleep(0.2)
-            assert sent == [b"1", b"2"]
-            service.answered(b"two")
-
-    run_virtual(test())
-
-
-def test_device_that_leaves_fails_its_calls_and_later_ones() -> None:
-    async def test() -> None:
-        service, _ = device_service()
-        async with asyncio.TaskGroup() as tasks:
-
-            async def call() -> None:
-                with pytest.raises(DeviceGone):
-                    await service.call(b"1", timeout_s=5.0)
-
-            tasks.create_task(call())
-            await asyncio.sleep(0.1)
-            service.close()
-        with pytest.raises(DeviceGone):
-            await service.call(b"2", timeout_s=5.0)
-
-    run_virtual(test())
+@virtual
+async def test_call_without_answer_fails_at_its_deadline_and_its_late_answer_is_not_the_next_one_s() -> None:
+    service, _ = device_service()
+    loop = asyncio.get_running_loop()
+    with pytest.raises(ServiceFailed, match="2"):
+        await service.call(b"1", timeout_s=2.0)
+    assert loop.time() == pytest.approx(2.0)
+    assert service.is_awaited
+    async with asyncio.TaskGroup() as tasks:
+        second = tasks.create_task(service.call(b"2", timeout_s=4.0))
+        await asyncio.sleep(0.5)
+        assert not service.answered(b"late")
+        await asyncio.sleep(0.1)
+        assert service.answered(b"two")
+    assert second.result() == b"two"
 
 
-def test_waiting_calls_of_a_device_service_are_bounded() -> None:
-    async def test() -> None:
-        service, _ = device_service()
-        async with asyncio.TaskGroup() as tasks:
-            calls = [tasks.create_task(service.call(b"", timeout_s=5.0)) for _ in range(MAX_WAITING + 1)]
-            await asyncio.sleep(0.1)
-            with pytest.raises(DeviceBusy):
-                await service.call(b"", timeout_s=5.0)
-            for call in calls:
-                call.cancel()
+@virtual
+async def test_late_answer_that_never_arrives_delays_the_next_call_by_half_its_time() -> None:
+    service, sent = device_service()
+    with pytest.raises(ServiceFailed):
+        await service.call(b"1", timeout_s=1.0)
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(service.call(b"2", timeout_s=4.0))
+        await asyncio.sleep(1.9)
+        assert sent == [b"1"]
+        await asyncio.sleep(0.2)
+        assert sent == [b"1", b"2"]
+        service.answered(b"two")
 
-    run_virtual(test())
+
+@virtual
+async def test_device_that_leaves_fails_its_calls_and_later_ones() -> None:
+    service, _ = device_service()
+    async with asyncio.TaskGroup() as tasks:
+
+        async def call() -> None:
+            with pytest.raises(DeviceGone):
+                await service.call(b"1", timeout_s=5.0)
+
+        tasks.create_task(call())
+        await asyncio.sleep(0.1)
+        service.close()
+    with pytest.raises(DeviceGone):
+        await service.call(b"2", timeout_s=5.0)
+
+
+@virtual
+async def test_waiting_calls_of_a_device_service_are_bounded() -> None:
+    service, _ = device_service()
+    async with asyncio.TaskGroup() as tasks:
+        calls = [tasks.create_task(service.call(b"", timeout_s=5.0)) for _ in range(MAX_WAITING + 1)]
+        await asyncio.sleep(0.1)
+        with pytest.raises(DeviceBusy):
+            await service.call(b"", timeout_s=5.0)
+        for call in calls:
+            call.cancel()
 
 
 def test_daemon_s_service_precedes_a_device_s_and_that_a_program_s() -> None:
@@ -171,23 +161,21 @@ def test_services_are_listed_by_name_with_type_and_link() -> None:
     assert not services.is_reading("/c")
 
 
-def test_call_encodes_the_request_and_decodes_the_answer_of_a_device() -> None:
-    async def test() -> None:
-        services = Services(CATALOG)
-        device, sent = device_service()
-        services.add_device_service(device)
-        async with asyncio.TaskGroup() as tasks:
-            call = tasks.create_task(services.call("/s", {}))
-            await asyncio.sleep(0.1)
-            assert sent == [b""]
-            assert device.type is not None
-            device.answered(device.type.response.encode({"success": True, "message": "hello"}))
-        assert call.result() == {"success": True, "message": "hello"}
-        services.add_device_service(DeviceService("/x", "my/Unknown", None, "link 2", sent.append))
-        with pytest.raises(WrongType):
-            await services.call("/x", {})
-
-    run_virtual(test())
+@virtual
+async def test_call_encodes_the_request_and_decodes_the_answer_of_a_device() -> None:
+    services = Services(CATALOG)
+    device, sent = device_service()
+    services.add_device_service(device)
+    async with asyncio.TaskGroup() as tasks:
+        call = tasks.create_task(services.call("/s", {}))
+        await asyncio.sleep(0.1)
+        assert sent == [b""]
+        assert device.type is not None
+        device.answered(device.type.response.encode({"success": True, "message": "hello"}))
+    assert call.result() == {"success": True, "message": "hello"}
+    services.add_device_service(DeviceService("/x", "my/Unknown", None, "link 2", sent.append))
+    with pytest.raises(WrongType):
+        await services.call("/x", {})
 
 
 def test_provider_that_does_not_answer_fails_at_the_deadline_or_when_it_is_withdrawn() -> None:

@@ -7,7 +7,7 @@ from hostlink.hub.message import Message
 from hostlink.hub.topic import DeviceSubscription, Subscriber
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.messages.catalog import Catalog
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, virtual
 
 CATALOG = Catalog()
 LINK, OTHER_LINK = "link 1", "link 2"
@@ -69,19 +69,17 @@ def test_latched_messages_gate_and_command_topic_are_sent_none() -> None:
     assert run_virtual(sent_to_later_device(is_command=True)) == []
 
 
-def test_latched_message_that_the_device_cannot_take_does_not_keep_it_from_subscribing() -> None:
-    async def subscribed() -> list[object]:
-        graph = TopicGraph(CATALOG)
-        graph.advertise("/a", "one", type_name=BOOL, is_latched=True).publish(b"\1", source="one")
+@virtual
+async def test_latched_message_that_the_device_cannot_take_does_not_keep_it_from_subscribing() -> None:
+    graph = TopicGraph(CATALOG)
+    graph.advertise("/a", "one", type_name=BOOL, is_latched=True).publish(b"\1", source="one")
 
-        def refuse(_: Message) -> None:
-            raise FrameTooLarge("/a", 600, 512)
+    def refuse(_: Message) -> None:
+        raise FrameTooLarge("/a", 600, 512)
 
-        return list(
-            graph.subscribe_device("/a", LINK, DeviceSubscription(refuse, is_gate=False), type_name=BOOL).devices
-        )
-
-    assert run_virtual(subscribed()) == [LINK]
+    assert list(
+        graph.subscribe_device("/a", LINK, DeviceSubscription(refuse, is_gate=False), type_name=BOOL).devices
+    ) == [LINK]
 
 
 def test_a_topic_is_not_latched_unless_its_publisher_says_so() -> None:

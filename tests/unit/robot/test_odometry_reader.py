@@ -8,20 +8,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hostlink.errors import BadPayload
-from hostlink.messages.message_type import MessageType
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import ODOMETRY_TYPE, POSE_TYPE, READERS, OdometryEstimator, OdometryReading
 from hostlink.robot.velocity import PlanarVelocity
-from tests.support.fake_device import CATALOG
+from tests.support.fake_device import message_type
 
 texts = st.text(max_size=20)
 floats = st.floats()
-
-
-def type_of(name: str) -> MessageType:
-    found = CATALOG.message(name)
-    assert found is not None
-    return found
 
 
 def odometry(yaw_rad: float = 0.0, twist: PlanarVelocity | None = None, length: float = 1.0) -> dict[str, Any]:
@@ -34,7 +27,7 @@ def odometry(yaw_rad: float = 0.0, twist: PlanarVelocity | None = None, length: 
 
 
 def read(type_name: str, message: dict[str, Any]) -> OdometryReading:
-    return READERS[type_name](type_of(type_name).encode(message))
+    return READERS[type_name](message_type(type_name).encode(message))
 
 
 def updated(reading: OdometryReading) -> OdometryEstimator:
@@ -104,7 +97,7 @@ def test_any_pose2d_leaves_finite_numbers(x: float, y: float, theta: float) -> N
 @example(ODOMETRY_TYPE, bytes(701))
 def test_reader_refuses_exactly_the_payloads_that_the_full_decode_refuses(type_name: str, payload: bytes) -> None:
     try:
-        type_of(type_name).decode(payload)
+        message_type(type_name).decode(payload)
     except BadPayload:
         with pytest.raises(BadPayload, match=type_name):
             READERS[type_name](payload)

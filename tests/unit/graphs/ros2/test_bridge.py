@@ -15,7 +15,7 @@ from hostlink.errors import HostlinkError
 from hostlink.graphs.ros2.bridge import FIRST_RETRY_S, Bridge, write_line
 from hostlink.graphs.ros2.plan import COMMAND, Qos, Ros2Graph, Ros2Publisher, publisher_qos
 from tests.support.fake_device import CATALOG
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import inside, run_virtual
 
 NOTE = "/robot_0/note"
 MISSING = "nobody_srvs/Missing"  # a type that is not installed
@@ -286,24 +286,22 @@ def _types(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, module)
 
 
-def test_velocity_of_ros_2_reaches_the_driver_while_the_daemon_has_the_robot() -> None:
-    async def test(world: World) -> None:
-        await world.show(robots=[ROBOT])
-        receive = world.node.subscriptions["/robot_0/cmd_vel"]
-        assert world.node.qos["/robot_0/cmd_vel"] == (COMMAND, False)
-        receive(SimpleNamespace(linear=vector(0.2), angular=vector(z=-0.5)), {"publication_sequence_number": 1})
-        receive(SimpleNamespace(linear=vector(y=0.1), angular=vector()), {"publisher_gid": {"data": [7, 8]}})
-        await asyncio.sleep(0.1)
-        assert world.driver.received == [
-            ("robot_0", (0.2, 0.0, 0.0, 0.0, 0.0, -0.5), "/robot_0/cmd_vel", True),
-            ("robot_0", (0.0, 0.1, 0.0, 0.0, 0.0, 0.0), b"\7\b", False),
-        ]
-        assert world.driver.robots == ["robot_0"]
-        await world.show()
-        assert world.node.subscriptions == {}
-        assert world.driver.robots == []
-
-    bridged(test)
+@inside(bridged)
+async def test_velocity_of_ros_2_reaches_the_driver_while_the_daemon_has_the_robot(world: World) -> None:
+    await world.show(robots=[ROBOT])
+    receive = world.node.subscriptions["/robot_0/cmd_vel"]
+    assert world.node.qos["/robot_0/cmd_vel"] == (COMMAND, False)
+    receive(SimpleNamespace(linear=vector(0.2), angular=vector(z=-0.5)), {"publication_sequence_number": 1})
+    receive(SimpleNamespace(linear=vector(y=0.1), angular=vector()), {"publisher_gid": {"data": [7, 8]}})
+    await asyncio.sleep(0.1)
+    assert world.driver.received == [
+        ("robot_0", (0.2, 0.0, 0.0, 0.0, 0.0, -0.5), "/robot_0/cmd_vel", True),
+        ("robot_0", (0.0, 0.1, 0.0, 0.0, 0.0, 0.0), b"\7\b", False),
+    ]
+    assert world.driver.robots == ["robot_0"]
+    await world.show()
+    assert world.node.subscriptions == {}
+    assert world.driver.robots == []
 
 
 def topic(*, is_published: bool = False, is_subscribed: bool = False) -> dict[str, Any]:
@@ -313,113 +311,99 @@ def topic(*, is_published: bool = False, is_subscribed: bool = False) -> dict[st
     }  # fmt: skip
 
 
-def test_topic_of_the_daemon_is_requested_while_ros_2_has_a_subscriber() -> None:
-    async def test(world: World) -> None:
-        await world.show(topics=[topic(is_published=True)])
-        qos, sent = world.node.publishers[NOTE]
-        assert qos == publisher_qos(NOTE, is_latched=False)
-        assert world.host.raw == {}
-        world.node.ros2 = Ros2Graph(readers=frozenset({NOTE}))
-        await asyncio.sleep(0.5)
-        world.node.time = bytes(8)  # a message without a header has no stamp
-        world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"hello")))
-        world.host.raw[NOTE].send(SimpleNamespace(payload=b"\xff\xff"))
-        world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"again")))
-        await asyncio.sleep(0.1)
-        assert sent == [text_cdr(b"hello"), text_cdr(b"again")]
-        await world.show()
-        assert (world.host.raw, world.node.publishers) == ({}, {})
-
-    bridged(test)
+@inside(bridged)
+async def test_topic_of_the_daemon_is_requested_while_ros_2_has_a_subscriber(world: World) -> None:
+    await world.show(topics=[topic(is_published=True)])
+    qos, sent = world.node.publishers[NOTE]
+    assert qos == publisher_qos(NOTE, is_latched=False)
+    assert world.host.raw == {}
+    world.node.ros2 = Ros2Graph(readers=frozenset({NOTE}))
+    await asyncio.sleep(0.5)
+    world.node.time = bytes(8)  # a message without a header has no stamp
+    world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"hello")))
+    world.host.raw[NOTE].send(SimpleNamespace(payload=b"\xff\xff"))
+    world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"again")))
+    await asyncio.sleep(0.1)
+    assert sent == [text_cdr(b"hello"), text_cdr(b"again")]
+    await world.show()
+    assert (world.host.raw, world.node.publishers) == ({}, {})
 
 
-def test_topic_of_ros_2_reaches_the_daemon_without_echoes_and_malformed_messages() -> None:
-    async def test(world: World) -> None:
-        offered = Ros2Publisher("std_msgs/msg/String", Qos(is_reliable=True, is_latched=True))
-        world.node.ros2 = Ros2Graph(publishers={NOTE: (offered,)}, readers=frozenset({NOTE}))
-        await world.show(topics=[topic(is_published=True, is_subscribed=True)])
-        assert world.host.advertised == {NOTE: True}
-        assert world.node.qos[NOTE][1]
-        world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"mine")))
-        await asyncio.sleep(0.1)
-        for data in (text_cdr(b"mine"), b"\0\1", text_cdr(b"theirs")):
-            world.node.subscriptions[NOTE](data)
-        await asyncio.sleep(0.1)
-        assert world.host.published == [(NOTE, text(b"theirs"), "std_msgs/String")]
-        warning = f"{NOTE}: messages that are not of the topic's type are left out: 1"
-        assert ("warning", warning) in world.node.lines
-        await world.show()
-        assert (world.host.advertised, world.node.subscriptions) == ({}, {})
-
-    bridged(test)
+@inside(bridged)
+async def test_topic_of_ros_2_reaches_the_daemon_without_echoes_and_malformed_messages(world: World) -> None:
+    offered = Ros2Publisher("std_msgs/msg/String", Qos(is_reliable=True, is_latched=True))
+    world.node.ros2 = Ros2Graph(publishers={NOTE: (offered,)}, readers=frozenset({NOTE}))
+    await world.show(topics=[topic(is_published=True, is_subscribed=True)])
+    assert world.host.advertised == {NOTE: True}
+    assert world.node.qos[NOTE][1]
+    world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"mine")))
+    await asyncio.sleep(0.1)
+    for data in (text_cdr(b"mine"), b"\0\1", text_cdr(b"theirs")):
+        world.node.subscriptions[NOTE](data)
+    await asyncio.sleep(0.1)
+    assert world.host.published == [(NOTE, text(b"theirs"), "std_msgs/String")]
+    warning = f"{NOTE}: messages that are not of the topic's type are left out: 1"
+    assert ("warning", warning) in world.node.lines
+    await world.show()
+    assert (world.host.advertised, world.node.subscriptions) == ({}, {})
 
 
-def test_service_of_the_daemon_answers_in_ros_2() -> None:
-    async def test(world: World) -> None:
-        await world.show(services=[TRIGGER, {"name": "/robot_0/fail", "type": "std_srvs/Trigger"}])
-        done = await world.node.services["/robot_0/reset"](Trigger.Request(), Trigger.Response())
-        assert (done.success, done.message) == (True, "reset")
-        failed = await world.node.services["/robot_0/fail"](Trigger.Request(), Trigger.Response())
-        assert (failed.success, failed.message) == (False, "the robot is locked")
-
-    bridged(test)
+@inside(bridged)
+async def test_service_of_the_daemon_answers_in_ros_2(world: World) -> None:
+    await world.show(services=[TRIGGER, {"name": "/robot_0/fail", "type": "std_srvs/Trigger"}])
+    done = await world.node.services["/robot_0/reset"](Trigger.Request(), Trigger.Response())
+    assert (done.success, done.message) == (True, "reset")
+    failed = await world.node.services["/robot_0/fail"](Trigger.Request(), Trigger.Response())
+    assert (failed.success, failed.message) == (False, "the robot is locked")
 
 
-def test_service_of_ros_2_answers_at_the_daemon_within_its_time() -> None:
-    async def test(world: World) -> None:
-        world.node.ros2 = Ros2Graph(services={"/dock": "std_srvs/srv/Trigger"})
-        world.node.answer = Trigger.Response()
-        await world.show()
-        assert await world.host.served["/dock"]({}) == {"success": False, "message": ""}
-        world.node.answer = None
-        with pytest.raises(HostlinkError, match="/dock: no answer from ROS 2 within 60 s"):
-            await world.host.served["/dock"]({})
-
-    bridged(test)
+@inside(bridged)
+async def test_service_of_ros_2_answers_at_the_daemon_within_its_time(world: World) -> None:
+    world.node.ros2 = Ros2Graph(services={"/dock": "std_srvs/srv/Trigger"})
+    world.node.answer = Trigger.Response()
+    await world.show()
+    assert await world.host.served["/dock"]({}) == {"success": False, "message": ""}
+    world.node.answer = None
+    with pytest.raises(HostlinkError, match="/dock: no answer from ROS 2 within 60 s"):
+        await world.host.served["/dock"]({})
 
 
-def test_route_whose_type_is_missing_is_reported_once_and_tried_again_after_a_new_connection(
-    monkeypatch: pytest.MonkeyPatch,
+@inside(bridged)
+async def test_route_whose_type_is_missing_is_reported_once_and_tried_again_after_a_new_connection(
+    world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def test(world: World) -> None:
-        await world.show(services=[{"name": "/a", "type": MISSING}])
-        await asyncio.sleep(FIRST_RETRY_S + 0.2)
-        assert [text for text in world.reports if "nobody_srvs" in text] == [world.reports[0]]
-        installed = SimpleNamespace(Missing=Trigger)
-        monkeypatch.setitem(sys.modules, "nobody_srvs", SimpleNamespace())
-        monkeypatch.setitem(sys.modules, "nobody_srvs.srv", installed)
-        world.host.changes.send(SimpleNamespace(reason="the connection is lost"))
-        await asyncio.sleep(0.1)
-        assert world.node.services == {}
-        world.host.changes.send(SimpleNamespace(reason=""))
-        await asyncio.sleep(0.1)
-        assert list(world.node.services) == ["/a"]
-        assert world.reports[1:] == ["the connection is lost", "connected to hostlink at http://robots:9090 again"]
-
-    bridged(test)
+    await world.show(services=[{"name": "/a", "type": MISSING}])
+    await asyncio.sleep(FIRST_RETRY_S + 0.2)
+    assert [text for text in world.reports if "nobody_srvs" in text] == [world.reports[0]]
+    installed = SimpleNamespace(Missing=Trigger)
+    monkeypatch.setitem(sys.modules, "nobody_srvs", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "nobody_srvs.srv", installed)
+    world.host.changes.send(SimpleNamespace(reason="the connection is lost"))
+    await asyncio.sleep(0.1)
+    assert world.node.services == {}
+    world.host.changes.send(SimpleNamespace(reason=""))
+    await asyncio.sleep(0.1)
+    assert list(world.node.services) == ["/a"]
+    assert world.reports[1:] == ["the connection is lost", "connected to hostlink at http://robots:9090 again"]
 
 
-def test_topic_that_is_not_mirrored_is_reported_once() -> None:
-    async def test(world: World) -> None:
-        topic = {"name": "/2wheels/odom", "velocity": False, "subscribed": False, "published": True}
-        for _ in range(3):
-            await world.show(topics=[topic])
-        assert world.reports == ["/2wheels/odom: ROS 2 allows no such name, so the topic stays out of it"]
-
-    bridged(test)
+@inside(bridged)
+async def test_topic_that_is_not_mirrored_is_reported_once(world: World) -> None:
+    topic = {"name": "/2wheels/odom", "velocity": False, "subscribed": False, "published": True}
+    for _ in range(3):
+        await world.show(topics=[topic])
+    assert world.reports == ["/2wheels/odom: ROS 2 allows no such name, so the topic stays out of it"]
 
 
 @pytest.mark.parametrize(
     ("level", "expected"),
     [(1, "debug"), (2, "info"), (4, "warning"), (8, "error"), (16, "fatal"), (3, "info"), (0, "debug")],
 )
-def test_log_line_of_a_device_has_its_level_in_ros_2(level: int, expected: str) -> None:
-    async def test(world: World) -> None:
-        world.host.lines.send({"level": level, "name": "robot_0", "msg": "low battery"})
-        await asyncio.sleep(0.1)
-        assert world.node.lines == [(expected, "robot_0: low battery")]
-
-    bridged(test)
+@inside(bridged)
+async def test_log_line_of_a_device_has_its_level_in_ros_2(world: World, level: int, expected: str) -> None:
+    world.host.lines.send({"level": level, "name": "robot_0", "msg": "low battery"})
+    await asyncio.sleep(0.1)
+    assert world.node.lines == [(expected, "robot_0: low battery")]
 
 
 class FakeLogger:
