@@ -61,7 +61,6 @@ def test_hashes_are_those_of_ros_2(tmp_path: Path) -> None:
     package.mkdir(parents=True)
     (package / "AddTwoInts.srv").write_text("int64 a\nint64 b\n---\nint64 sum\n")
     service = Ros2Types(Catalog([tmp_path]), "kilted").service("example_interfaces/AddTwoInts")
-    assert service is not None
     assert (service.name, service.type_hash) == ("example_interfaces/srv/AddTwoInts", ADD_TWO_INTS_HASH)
 
 
@@ -69,7 +68,6 @@ def test_humble_has_no_hashes() -> None:
     types = Ros2Types(CATALOG, "humble")
     assert message("std_msgs/String", types).type_hash == NO_HASH
     service = types.service("std_srvs/SetBool")
-    assert service is not None
     assert service.type_hash == NO_HASH
 
 
@@ -117,7 +115,6 @@ def test_every_type_of_ros_1_is_converted_there_and_back(is_back: bool) -> None:
     assert len(names) > 150
     for name in names:
         known, type_ = CATALOG.message(name), message(name)
-        assert known is not None
         zeros = known.encode({})
         data = type_.to_cdr(zeros)
         assert data[:4] == b"\0\1\0\0", name
@@ -171,7 +168,6 @@ def test_a_users_own_type_has_its_fields_in_lower_case(tmp_path: Path) -> None:
     (package / "Wheel.msg").write_text("uint8 side\nfloat64 radius\n")
     catalog = Catalog([tmp_path])
     known, type_ = catalog.message("my_robot/Gains"), message("my_robot/Gains", Ros2Types(catalog, "kilted"))
-    assert known is not None
     payload = known.encode(
         {"Kp": 1.5, "mode": 3, "names": ["a", "bcd"], "wheels": [{"side": 1, "radius": 0.1}, {}], "at": {"secs": 4}}
     )
@@ -219,7 +215,6 @@ def test_fields_that_one_side_lacks_are_zero(tmp_path: Path) -> None:
     (package / "BatteryState.msg").write_text("float32 voltage\n")
     catalog = Catalog([tmp_path])
     types, known = Ros2Types(catalog, "kilted"), catalog.message("sensor_msgs/Imu")
-    assert known is not None
     data = message("sensor_msgs/Imu", types).to_cdr(known.encode({"header": {"frame_id": "a"}, "own": [1, 2, 3]}))
     made = in_ros2("sensor_msgs/msg/Imu", data)
     assert (made.header.frame_id, made.orientation.w, list(made.angular_velocity_covariance)) == ("a", 0.0, [0.0] * 9)
@@ -235,8 +230,6 @@ def test_fields_that_one_side_lacks_are_zero(tmp_path: Path) -> None:
 def test_services_have_two_messages() -> None:
     service = TYPES.service("std_srvs/SetBool")
     known = CATALOG.service("std_srvs/SetBool")
-    assert service is not None
-    assert known is not None
     assert service.request.to_cdr(known.request.encode({"data": True})) == b"\0\1\0\0\1"
     answer = known.response.encode({"success": True, "message": "on"})
     assert service.response.from_cdr(service.response.to_cdr(answer)) == answer

@@ -87,8 +87,6 @@ async def test_last_ended_links_are_kept_with_their_end_and_duration(made: Memor
     assert diagnoses.numbers() == list(range(3, ENDED_LINKS + 3))
     assert (diagnoses.find(2), diagnoses.live()) == (None, [])
     last = diagnoses.find(ENDED_LINKS + 2)
-    assert last is not None
-    assert last.end is not None
     assert (last.end.value, last.robot) == ("peer_closed", f"robot_{ENDED_LINKS + 1}")
     assert last.seconds == pytest.approx(1.05, abs=0.1)
     assert last.baud is None

@@ -349,7 +349,6 @@ async def test_stamped_twist_older_than_the_robot_allows_is_refused(made: Memory
     twist = {"linear": vector, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
 
     def stamped(secs: int) -> bytes:
-        assert found.type is not None
         return found.type.encode({"header": {"stamp": {"secs": secs, "nsecs": 0}}, "twist": twist})
 
     with pytest.raises(CommandRefused) as refused:

@@ -86,7 +86,6 @@ async def test_topic_of_another_type_is_refused_and_logged_and_the_others_are_of
 async def test_reconnection_with_the_same_epoch_resumes_and_with_another_one_interrupts(made: MemoryHub) -> None:
     robot, numbers = remote_robot(made.hub, "robot_7", RecordingHosts()), made.hub.robots.new_number
     robot.connect(12, 100, numbers)
-    assert robot.link is not None
     first = robot.link.number
     assert (robot.link.own_number, robot.resumed_link) == (12, first)
     epoch = robot.admission.epoch

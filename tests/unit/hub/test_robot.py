@@ -64,7 +64,6 @@ async def test_pose_of_the_device_becomes_the_odometry_and_calls_followers(made:
         await device.send(125, pose(0.1 * number))
         await asyncio.sleep(0.1)
     found = made.robot().odometry.snapshot(made.now_s)
-    assert found is not None
     assert found.pose.x_m == pytest.approx(0.2)
     assert found.twist.x_m_s == pytest.approx(1.0, rel=0.2)
     assert len(called) == 3
@@ -88,7 +87,6 @@ async def test_battery_of_the_device_is_shown_until_it_leaves(made: MemoryHub) -
     infos = [*robot_topics(), topic(Id.PUBLISHER, 126, "/robot_0/battery", "sensor_msgs/BatteryState")]
     device = await made.connect(infos)
     found = made.hub.catalog.message("sensor_msgs/BatteryState")
-    assert found is not None
     await device.send(126, found.encode({"voltage": 12.5, "percentage": 0.5}))
     await asyncio.sleep(0.05)
     state = made.robot().state(made.now_s)
@@ -256,7 +254,6 @@ def test_remote_odometry_grows_older_and_says_whether_a_pose_is_new() -> None:
     assert odometry.update(snapshot, 10.0)
     assert not odometry.update(snapshot, 11.0)
     found = odometry.snapshot(11.5)
-    assert found is not None
     assert (found.age_s, odometry.count, odometry.read_at_s) == (pytest.approx(0.7), 3, 11.5)
     assert odometry.update(dataclasses.replace(snapshot, restarts=1), 12.0)
 

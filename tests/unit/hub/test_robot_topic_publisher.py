@@ -74,7 +74,6 @@ async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) 
     subscription.close()
     assert heard == [POSE.pack(4.0, 0.0, 0.0)]
     observed = robot.odometry.snapshot(asyncio.get_running_loop().time())
-    assert observed is not None
     assert observed.pose.x_m == 4.0
 
 
@@ -127,7 +126,6 @@ async def test_another_robots_odometry_of_that_name_is_read_on(made: Crowd) -> N
     made.hub.join("driver").drive(made.hub.robots.find("other"), PlanarVelocity(0.3))
     await asyncio.sleep(0.1)
     observed = made.hub.robots.find("other").odometry.snapshot(asyncio.get_running_loop().time())
-    assert observed is not None
     assert observed.pose.x_m == 7.0
     assert struct.unpack("<6d", other.payloads(VELOCITY_ID)[-1])[0] == 0.3
     assert len(made.hub.robots.devices[other.link.number].drivables) == 1

@@ -263,7 +263,6 @@ async def test_pose_of_a_robot_of_another_daemon_follows_while_it_is_read(world:
         await world.scene.robot.send(ODOMETRY_ID, POSE.pack(x_m, 0.0, 0.0))
     await asyncio.sleep(0.25)
     found = robot.odometry.snapshot(now_s())
-    assert found is not None
     assert found.pose.x_m == 3.0
 
 
@@ -359,7 +358,6 @@ class Requests:
                 number=5, sent_s=now_s(), robot=robot, owner=owner, owner_name="pad", velocity=velocity, priority=10
             )
         )
-        assert answer is not None
         assert answer.number == 5
         return answer
 
@@ -376,7 +374,6 @@ async def test_role_is_checked_before_a_participant_is_made(scene: Scene) -> Non
     assert requests.drive().error == "BadRequest"
     assert requests.drivers._drivers == {}
     answer = requests.request(Unlock(number=6, robot=ROBOT))
-    assert answer is not None
     assert answer.error == "BadRequest"
     assert requests.counts["refused"] == 3
 

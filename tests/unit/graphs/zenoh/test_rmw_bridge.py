@@ -43,13 +43,11 @@ CMD_VEL = f"/{ROBOT}/velocity_commands"
 
 def hash_of(name: str) -> str:
     found = TYPES.message(name)
-    assert found is not None
     return found.type_hash
 
 
 def cdr(value: str) -> bytes:
     found = TYPES.message(TEXT_TYPE)
-    assert found is not None
     return found.to_cdr(text(value))
 
 
@@ -134,7 +132,6 @@ async def test_message_of_the_hub_reaches_ros_2_only_while_it_has_a_subscriber(w
     await asyncio.sleep(0.1)
     assert [sample.payload for sample in received] == [cdr("read")]
     signed = Attachment.decode(received[0].attachment)
-    assert signed is not None
     assert signed.sequence_number == 1
     assert signed.gid == gid_of(world.own(TokenKind.PUBLISHER)[TEXT].encode())
     assert world.counts["to_ros2"] == 1
@@ -280,8 +277,6 @@ async def test_publisher_whose_topic_has_another_type_here_is_logged_and_shown_o
 
 def trigger_response(*, success: bool, message: str) -> bytes:
     service, ros2 = CATALOG.service("std_srvs/Trigger"), TYPES.service("std_srvs/Trigger")
-    assert service is not None
-    assert ros2 is not None
     return ros2.response.to_cdr(service.response.encode({"success": success, "message": message}))
 
 
@@ -297,7 +292,6 @@ async def test_call_of_ros_2_is_answered_by_the_hub_with_its_number(world: World
     answers = await call(world, "/neighbour")
     assert [each.payload for each in answers] == [trigger_response(success=True, message="here")]
     signed = Attachment.decode(answers[0].attachment)
-    assert signed is not None
     assert (signed.sequence_number, signed.gid) == (7, b"0123456789abcdef")
     assert world.counts["calls_from_ros2"] == 1
 
@@ -333,7 +327,6 @@ async def test_calls_of_one_client_are_bounded_and_freed_by_their_answers(world:
 @inside(with_bridge)
 async def test_service_of_ros_2_is_called_by_a_program_until_its_token_ends(world: World) -> None:
     ros2 = TYPES.service("std_srvs/Trigger")
-    assert ros2 is not None
     declaration, _ = world.declare(TokenKind.SERVER, "/reset", TRIGGER, ros2.type_hash, SERVICE)
 
     def answer(query: Query) -> None:

@@ -58,7 +58,6 @@ def test_the_documented_examples_are_read() -> None:
 @pytest.mark.parametrize("text", [LISTENER, SUBSCRIPTION, PUBLISHER])
 def test_the_documented_examples_are_written_as_they_were_read(text: str) -> None:
     token = parse_token(text)
-    assert token is not None
     assert token.encode() == text
 
 
@@ -147,7 +146,6 @@ def test_a_quality_may_be_written_out(text: str) -> None:
 
 def test_a_depth_is_bounded() -> None:
     decoded = RmwQos.decode("::,99999999999999999999:,:,:,,")
-    assert decoded is not None
     assert decoded.depth == 1_000_000
     assert RmwQos.decode("::,0:,:,:,,") == RmwQos()
 

@@ -37,7 +37,6 @@ def test_a_robot_is_where_it_is_connected() -> None:
     known.receive(A, state("r", link=None), 0.0)
     assert known.receive(B, state("r"), 0.0) == {"r"}
     place = known.place("r")
-    assert place is not None
     assert (place.neighbour.sender, place.is_connected, place.also_at) == (B, True, ())
 
 
@@ -46,7 +45,6 @@ def test_one_name_at_two_daemons_is_noted() -> None:
     known.receive(B, state("r"), 0.0)
     known.receive(A, state("r"), 0.0)
     place = known.place("r")
-    assert place is not None
     assert (place.neighbour.sender, place.also_at) == (A, ("b",))
     assert known.connected_at("r") == ("a", "b")
 
@@ -68,7 +66,6 @@ def test_the_robots_of_a_daemon_that_is_gone_are_known_and_not_connected() -> No
     known.receive(A, state("r"), 0.0)
     assert known.leave("1", 5.0) == {"r"}
     place = known.place("r")
-    assert place is not None
     assert not place.is_connected
     assert known.forget(604.0) == set()
     assert known.forget(605.0) == {"r"}
@@ -119,7 +116,6 @@ def test_a_motion_changes_only_robots_that_are_listed() -> None:
     live = Live(robots=(RobotMotion("r", (0.1, 0.0), pose), RobotMotion("s", (0.1, 0.0), None)))
     assert known.receive_motions(A, live, 0.0) == {"r"}
     place = known.place("r")
-    assert place is not None
     assert (place.state.pose, place.state.velocity, place.state.link) == (pose, (0.1, 0.0), 1)
     assert known.place("s") is None
 
