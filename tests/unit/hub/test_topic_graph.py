@@ -30,21 +30,6 @@ def device() -> DeviceSubscription:
     return DeviceSubscription(lambda _: None, is_gate=False)
 
 
-async def received_later(*, is_latched: bool) -> list[bytes]:
-    """Return the messages that a program receives that subscribes after a message."""
-    graph, program = TopicGraph(CATALOG), Program()
-    topic = graph.advertise("/a", LINK, type_name=BOOL, is_latched=is_latched)
-    topic.publish(b"\1", source=LINK)
-    graph.subscribe("/a", program.subscriber)
-    assert program.errors == []
-    return program.received
-
-
-def test_only_what_was_latched_is_delivered_to_a_later_subscriber() -> None:
-    assert run_virtual(received_later(is_latched=True)) == [b"\1"]
-    assert run_virtual(received_later(is_latched=False)) == []
-
-
 async def sent_to_later_device(*, is_gate: bool = False, is_command: bool = False) -> list[bytes]:
     """Return the messages to a device that subscribes after two latching publishers, and announces its topics twice."""
     graph, sent = TopicGraph(CATALOG), list[bytes]()
@@ -62,11 +47,6 @@ async def sent_to_later_device(*, is_gate: bool = False, is_command: bool = Fals
 
 def test_latched_messages_later_device_is_sent_those_of_publishers_that_are_there_newest_last() -> None:
     assert run_virtual(sent_to_later_device()) == [b"\1", b"\2", b"\2"]
-
-
-def test_latched_messages_gate_and_command_topic_are_sent_none() -> None:
-    assert run_virtual(sent_to_later_device(is_gate=True)) == []
-    assert run_virtual(sent_to_later_device(is_command=True)) == []
 
 
 @virtual
