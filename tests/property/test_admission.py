@@ -207,7 +207,6 @@ class History(RuleBasedStateMachine):
             driver = self.admission.driver(topic, self.now_s)
             owner, at_s = self.drives.get(topic, ("", float("-inf")))
             if self.now_s < at_s + LEASE_S:
-                assert driver is not None
                 assert driver.source == owner
             else:
                 assert driver is None

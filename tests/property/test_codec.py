@@ -14,6 +14,7 @@ from hostlink.messages import validating_codec
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Field, Layout, integer_range
 from hostlink.messages.message_type import MessageType
+from tests.support.fake_device import message_type
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 CATALOG = Catalog()
@@ -70,13 +71,7 @@ SECONDS = {"time": st.integers(0, 2**31 - 1), "duration": st.integers(-(2**31), 
 NANOSECONDS = st.integers(0, 2**31 - 1)
 
 
-def known(name: str) -> MessageType:
-    found = CATALOG.message(name)
-    assert found is not None
-    return found
-
-
-messages = st.sampled_from(NAMES).map(known)
+messages = st.sampled_from(NAMES).map(message_type)
 
 
 def numbers(type_name: str) -> st.SearchStrategy[object]:
@@ -150,7 +145,7 @@ def same(ours: object, theirs: object) -> bool:
 @settings(PATIENT, max_examples=settings().max_examples // 5)
 @given(data=st.data())
 def test_encoded_bytes_equal_those_of_rosbags(name: str, data: st.DataObject) -> None:
-    ours = known(name)
+    ours = message_type(name)
     value = draw_message(data, ours.layout)
     payload = bytes(STORE.serialize_ros1(stored(ours.layout, value), ours.name.replace("/", "/msg/")))
     assert ours.encode(value) == payload

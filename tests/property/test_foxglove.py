@@ -11,7 +11,7 @@ from hostlink.api.foxglove_protocol import Published, ServiceCall, decode_frame
 from hostlink.errors import BadRequest
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.foxglove_memory import World, world
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import within
 
 OPS = (
     "subscribe", "unsubscribe", "advertise", "unadvertise", "getParameters", "setParameters",
@@ -76,24 +76,21 @@ sent = st.one_of(
 
 
 @given(st.lists(st.tuples(st.integers(0, 1), sent), max_size=25))
-def test_no_client_can_break_itself_or_another(messages: list[tuple[int, str | bytes]]) -> None:
-    async def run() -> None:
-        async with world() as here:
-            peers = [here.client(), here.client()]
-            for number, data in messages:
-                peers[number].client.receive(data)
-                await asyncio.sleep(0)
-            await asyncio.sleep(100)  # virtual: every deadline is over
-            for peer in peers:
-                peer.client.flush(asyncio.get_running_loop().time())
-                assert len(list(iter(peer.queue.pop, None))) <= MAX_MESSAGES + MAX_RESULTS
-            await still_works(here)
-            for peer in peers:
-                peer.client.participant.leave()
-            assert [topic.name for topic in here.hub.topics.all()] == ["/rosout"]
-            assert here.hub.isolation.crashes.total() == 0
-
-    run_virtual(run())
+@within(world)
+async def test_no_client_can_break_itself_or_another(here: World, messages: list[tuple[int, str | bytes]]) -> None:
+    peers = [here.client(), here.client()]
+    for number, data in messages:
+        peers[number].client.receive(data)
+        await asyncio.sleep(0)
+    await asyncio.sleep(100)  # virtual: every deadline is over
+    for peer in peers:
+        peer.client.flush(asyncio.get_running_loop().time())
+        assert len(list(iter(peer.queue.pop, None))) <= MAX_MESSAGES + MAX_RESULTS
+    await still_works(here)
+    for peer in peers:
+        peer.client.participant.leave()
+    assert [topic.name for topic in here.hub.topics.all()] == ["/rosout"]
+    assert here.hub.isolation.crashes.total() == 0
 
 
 async def still_works(here: World) -> None:
@@ -113,15 +110,12 @@ async def still_works(here: World) -> None:
 
 
 @given(sent)
-def test_one_wrong_message_has_at_most_one_status(data: str | bytes) -> None:
-    async def run() -> None:
-        async with world() as here:
-            peer = here.client()
-            peer.json()
-            peer.client.receive(data)
-            assert sum(each["op"] == "status" for each in peer.json()) <= 1
-
-    run_virtual(run())
+@within(world)
+async def test_one_wrong_message_has_at_most_one_status(here: World, data: str | bytes) -> None:
+    peer = here.client()
+    peer.json()
+    peer.client.receive(data)
+    assert sum(each["op"] == "status" for each in peer.json()) <= 1
 
 
 @given(st.binary(max_size=64))

@@ -103,7 +103,6 @@ class Clashes(RuleBasedStateMachine):
             self.tasks.append(asyncio.get_running_loop().create_task(self.talk(device, float(number + 1))))
             await asyncio.sleep(1.0)
             robot = self.hub.robots.of_link(device.link)
-            assert robot is not None
             self.names.append(robot.name)
         assert self.names == ["robot_0", "robot_0_2"]
 
@@ -254,7 +253,6 @@ class Clashes(RuleBasedStateMachine):
         async def check_poses() -> None:
             for number, name in enumerate(self.names):
                 estimate = self.hub.robots.find(name).odometry.snapshot(asyncio.get_running_loop().time())
-                assert estimate is not None
                 assert estimate.pose.x_m == number + 1
                 assert (estimate.restarts, estimate.ignored) == (0, 0)
                 assert estimate.age_s < 0.2

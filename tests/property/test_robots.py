@@ -194,7 +194,6 @@ class Drivers(RuleBasedStateMachine):
     @rule()
     def lose_the_link(self) -> None:
         async def now() -> None:
-            assert self.link is not None
             self.link.end(LinkEnd.REPLACED)
             await asyncio.sleep(0.1)
             assert self.robots.find(NAME).link is None

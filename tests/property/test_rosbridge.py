@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.rosbridge_memory import World, world
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import within
 
 OPS = (
     "advertise", "unadvertise", "publish", "subscribe", "unsubscribe", "call_service", "advertise_service",
@@ -54,24 +54,21 @@ texts = st.one_of(
 
 
 @given(st.lists(st.tuples(st.integers(0, 1), texts), max_size=25))
-def test_no_client_can_break_itself_or_another(sent: list[tuple[int, str | bytes]]) -> None:
-    async def run() -> None:
-        async with world() as here:
-            peers = [here.client(), here.client()]
-            for number, text in sent:
-                peers[number].client.receive(text)
-                await asyncio.sleep(0)
-            await asyncio.sleep(100)  # virtual: every deadline is over
-            for peer in peers:
-                peer.client.participant.flush(asyncio.get_running_loop().time())
-                assert len(list(iter(peer.queue.pop, None))) <= MAX_MESSAGES + MAX_RESULTS
-            await still_works(here)
-            for peer in peers:
-                peer.client.participant.leave()
-            assert [topic.name for topic in here.hub.topics.all()] == ["/rosout"]
-            assert all(name.startswith("/rosapi/") for name, _ in here.hub.services.all())
-
-    run_virtual(run())
+@within(world)
+async def test_no_client_can_break_itself_or_another(here: World, sent: list[tuple[int, str | bytes]]) -> None:
+    peers = [here.client(), here.client()]
+    for number, text in sent:
+        peers[number].client.receive(text)
+        await asyncio.sleep(0)
+    await asyncio.sleep(100)  # virtual: every deadline is over
+    for peer in peers:
+        peer.client.participant.flush(asyncio.get_running_loop().time())
+        assert len(list(iter(peer.queue.pop, None))) <= MAX_MESSAGES + MAX_RESULTS
+    await still_works(here)
+    for peer in peers:
+        peer.client.participant.leave()
+    assert [topic.name for topic in here.hub.topics.all()] == ["/rosout"]
+    assert all(name.startswith("/rosapi/") for name, _ in here.hub.services.all())
 
 
 async def still_works(here: World) -> None:
@@ -91,20 +88,19 @@ ids = st.sampled_from([None, "x", "y", 1, 2])
 
 
 @given(st.lists(st.tuples(st.sampled_from(["/a", "a", "/b"]), ids, st.booleans()), max_size=60))
-def test_subscriptions_after_any_ids_are_those_that_were_not_ended(sent: list[tuple[str, object, bool]]) -> None:
-    async def run() -> None:
-        async with world() as here:
-            peer, wanted = here.client(), set[tuple[str, object]]()
-            for topic, request_id, is_wanted in sent:
-                peer.send(op="subscribe" if is_wanted else "unsubscribe", topic=topic, id=request_id)
-                if is_wanted:
-                    wanted.add((topic, request_id))
-                elif request_id is None:
-                    wanted = {other for other in wanted if other[0] != topic}
-                else:
-                    wanted.discard((topic, request_id))
-            subscribers = [each.key for topic in here.hub.topics.all() for each in topic.subscribers]
-            assert subscribers.count(peer.client.participant) == len({topic for topic, _ in wanted})
-            assert peer.received() == []
-
-    run_virtual(run())
+@within(world)
+async def test_subscriptions_after_any_ids_are_those_that_were_not_ended(
+    here: World, sent: list[tuple[str, object, bool]]
+) -> None:
+    peer, wanted = here.client(), set[tuple[str, object]]()
+    for topic, request_id, is_wanted in sent:
+        peer.send(op="subscribe" if is_wanted else "unsubscribe", topic=topic, id=request_id)
+        if is_wanted:
+            wanted.add((topic, request_id))
+        elif request_id is None:
+            wanted = {other for other in wanted if other[0] != topic}
+        else:
+            wanted.discard((topic, request_id))
+    subscribers = [each.key for topic in here.hub.topics.all() for each in topic.subscribers]
+    assert subscribers.count(peer.client.participant) == len({topic for topic, _ in wanted})
+    assert peer.received() == []

@@ -7,8 +7,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.rosbridge_memory import Peer, world
-from tests.support.virtual_loop import run_virtual
+from tests.support.rosbridge_memory import Peer, World, world
+from tests.support.virtual_loop import within
 
 PEERS = 3
 services = st.sampled_from(["/switch", "switch", "/other"])
@@ -63,22 +63,21 @@ class Program:
 
 
 @given(st.lists(st.tuples(st.integers(0, PEERS - 1), actions), max_size=40))
-def test_every_call_is_answered_exactly_once(response: list[tuple[int, tuple[str, Any, Any]]]) -> None:
-    async def run() -> None:
-        async with world() as here:
-            programs = [Program(here.client()) for _ in range(PEERS)]
-            for number, (who, action) in enumerate(response):
-                if programs[who].is_there:
-                    programs[who].act(action, number)
-                await asyncio.sleep(action[1] if action[0] == "wait" else 0)
-                for program in programs:
-                    program.read()
-            await asyncio.sleep(100)  # virtual: every deadline is over
-            for program in programs:
-                program.read()
-                if program.is_there:
-                    assert sorted(program.answers) == program.calls
-                    program.peer.client.participant.leave()
-            assert all(name.startswith("/rosapi/") for name, _ in here.hub.services.all())
-
-    run_virtual(run())
+@within(world)
+async def test_every_call_is_answered_exactly_once(
+    here: World, response: list[tuple[int, tuple[str, Any, Any]]]
+) -> None:
+    programs = [Program(here.client()) for _ in range(PEERS)]
+    for number, (who, action) in enumerate(response):
+        if programs[who].is_there:
+            programs[who].act(action, number)
+        await asyncio.sleep(action[1] if action[0] == "wait" else 0)
+        for program in programs:
+            program.read()
+    await asyncio.sleep(100)  # virtual: every deadline is over
+    for program in programs:
+        program.read()
+        if program.is_there:
+            assert sorted(program.answers) == program.calls
+            program.peer.client.participant.leave()
+    assert all(name.startswith("/rosapi/") for name, _ in here.hub.services.all())

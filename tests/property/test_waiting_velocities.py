@@ -119,7 +119,6 @@ async def driven(api: ApiMemory, sent: Sequence[Sent], *, together: bool, is_dis
         await asyncio.sleep(0.2)
         peers[0].texts()
     heard = len(api.device.heard)
-    assert robot.link is not None
     facts = {"epoch": robot.admission.epoch, "stops": robot.admission.epoch, "link": robot.link.number}
     for number, (fields, is_fragment, client) in enumerate(sent):
         peer = peers[client]

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import tempfile
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -204,3 +205,11 @@ async def api_memory(folder: Path, config: Config | None = None) -> AsyncIterato
     async with running(made.hub):
         await made.begin()
         yield made
+
+
+@contextlib.asynccontextmanager
+async def api_in_memory(config: Config | None = None) -> AsyncIterator[ApiMemory]:
+    """A running API server whose recordings are in a folder of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        async with api_memory(Path(folder), config) as made:
+            yield made

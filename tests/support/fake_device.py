@@ -7,6 +7,7 @@ import struct
 from collections.abc import AsyncIterator, Iterable
 
 from hostlink.messages.catalog import Catalog
+from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
@@ -16,14 +17,25 @@ from tests.support.waiting import TIMEOUT_S
 CATALOG = Catalog()
 
 
+def message_type(name: str) -> MessageType:
+    """A type of the catalogue, which has it."""
+    found = CATALOG.message(name)
+    assert found is not None, name
+    return found
+
+
+def service_type(name: str) -> ServiceType:
+    """A type of a service of the catalogue, which has it."""
+    found = CATALOG.service(name)
+    assert found is not None, name
+    return found
+
+
 def topic(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> TopicInfo:
     """An endpoint with the md5 that its type has."""
     if kind in (Id.PUBLISHER, Id.SUBSCRIBER):
-        message = CATALOG.message(type_name)
-        assert message is not None, type_name
-        return TopicInfo(kind, topic_id, name, type_name, message.md5, buffer_bytes)
-    service = CATALOG.service(type_name)
-    assert service is not None, type_name
+        return TopicInfo(kind, topic_id, name, type_name, message_type(type_name).md5, buffer_bytes)
+    service = service_type(type_name)
     is_request = kind in (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
     return TopicInfo(
         kind, topic_id, name, type_name, (service.request if is_request else service.response).md5, buffer_bytes

@@ -5,7 +5,32 @@ from typing import Any
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import RemoteRobot
 from hostlink.robot.state import RobotState
-from hostlink.robot.velocity import TWIST_TYPE
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+
+
+class RecordingHosts:
+    """Records what other daemons are sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[Any, ...]] = []
+
+    def drive(self, _: object, velocity: PlanarVelocity, *, owner: object, priority: int, epoch: int | None) -> None:
+        self.sent.append(("drive", velocity, owner, priority, epoch))
+
+    def stop(self, name: str | None) -> None:
+        self.sent.append(("stop", name))
+
+    def lock(self, name: str, reason: str) -> None:
+        self.sent.append(("lock", name, reason))
+
+    def unlock(self, _: object) -> None:
+        self.sent.append(("unlock",))
+
+    def release(self, owner: object) -> None:
+        self.sent.append(("release", owner))
+
+    async def settled(self) -> None:
+        self.sent.append(("settled",))
 
 
 def remote_robot(hub: Hub, name: str, hosts: Any = None) -> RemoteRobot:

@@ -10,10 +10,15 @@ The standard library has no loop with a virtual clock, and this one also reports
 
 import asyncio
 import functools
-from collections.abc import Callable, Coroutine
-from typing import Any, ParamSpec, TypeVar
+import inspect
+from collections.abc import Awaitable, Callable, Coroutine
+from contextlib import AbstractAsyncContextManager
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
-Result, Arguments = TypeVar("Result"), ParamSpec("Arguments")
+Result = TypeVar("Result")
+World = TypeVar("World")
+Arguments = ParamSpec("Arguments")
+Settings = ParamSpec("Settings")
 
 
 class Deadlock(AssertionError):
@@ -26,14 +31,51 @@ def run_virtual(coroutine: Coroutine[Any, Any, Result]) -> Result:
         return runner.run(coroutine)
 
 
-def in_virtual_time(test: Callable[Arguments, Coroutine[Any, Any, None]]) -> Callable[Arguments, None]:
-    """Run an `async def` test in virtual time."""
+def virtual(test: Callable[Arguments, Coroutine[Any, Any, None]]) -> Callable[Arguments, None]:
+    """Decorator of a test that is a coroutine: it runs in virtual time."""
 
     @functools.wraps(test)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
         run_virtual(test(*args, **kwargs))
 
     return run
+
+
+def inside(
+    play: Callable[Concatenate[Callable[[World], Awaitable[None]], Settings], None],
+    *settings: Settings.args,
+    **named: Settings.kwargs,
+) -> Callable[[Callable[Concatenate[World, Arguments], Awaitable[None]]], Callable[Arguments, None]]:
+    """Decorator of a test that is a coroutine: `play` runs it with what it makes, which is the first argument.
+
+    The other arguments are those of pytest.
+    """
+
+    def decorate(test: Callable[Concatenate[World, Arguments], Awaitable[None]]) -> Callable[Arguments, None]:
+        @functools.wraps(test)
+        def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
+            play(lambda world: test(world, *args, **kwargs), *settings, **named)
+
+        whole = inspect.signature(test)
+        run.__signature__ = whole.replace(parameters=list(whole.parameters.values())[1:])  # type: ignore[attr-defined]
+        return run
+
+    return decorate
+
+
+def within(
+    world: Callable[Settings, AbstractAsyncContextManager[World]], *settings: Settings.args, **named: Settings.kwargs
+) -> Callable[[Callable[Concatenate[World, Arguments], Awaitable[None]]], Callable[Arguments, None]]:
+    """Decorator of a test that is a coroutine: it runs in virtual time, in the block of `world`, its first argument."""
+
+    def play(test: Callable[[World], Awaitable[None]]) -> None:
+        async def run() -> None:
+            async with world(*settings, **named) as made:
+                await test(made)
+
+        run_virtual(run())
+
+    return inside(play)
 
 
 class VirtualLoop(asyncio.BaseEventLoop):

@@ -21,7 +21,7 @@ from hostlink.api.clients import (
 )
 from hostlink.hub.node import Role
 from hostlink.robot.admission import UNORDERED_S
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, virtual
 
 
 @dataclass
@@ -139,19 +139,17 @@ def test_only_velocities_before_a_newer_one_like_them_are_replaced(words: list[s
     assert len(program.done) + len(program.replaced) == len(words)
 
 
-def test_waiting_velocity_is_replaced_while_others_are_executed() -> None:
-    async def run() -> Program:
-        program = Program()
-        box = operations(program)
-        for word in ("call", "a=1"):
-            box.put(word, 0.0, 0.0)
+@virtual
+async def test_waiting_velocity_is_replaced_while_others_are_executed() -> None:
+    program = Program()
+    box = operations(program)
+    for word in ("call", "a=1"):
+        box.put(word, 0.0, 0.0)
+    box.work()
+    box.put("a=2", 0.0, 0.0)
+    while box.waiting:
         box.work()
-        box.put("a=2", 0.0, 0.0)
-        while box.waiting:
-            box.work()
-        return program
-
-    assert run_virtual(run()).done == ["call", "a=2"]
+    assert program.done == ["call", "a=2"]
 
 
 def test_message_available_without_waiting_is_as_old_as_the_one_before() -> None:

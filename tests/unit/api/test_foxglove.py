@@ -23,7 +23,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_SUBSCRIPTIONS
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.foxglove_memory import Peer, World, world
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import within
 
 SETTLE_S = 0.1  # longer than changes of the graph are collected
 
@@ -43,137 +43,115 @@ async def number_of(peer: Peer, topic: str) -> int:
     return int(found)
 
 
-def play(test: Any) -> None:
-    async def run() -> None:
-        async with world() as here:
-            await test(here)
-
-    run_virtual(run())
-
-
 # -- what a client receives -------------------------------------------------------------------------------------------
 
 
-def test_client_first_receives_server_info_and_an_advertisement() -> None:
-    async def test(here: World) -> None:
-        first, second, *_ = here.client().json()
-        assert first["op"] == "serverInfo"
-        assert first["capabilities"][0] == "clientPublish"
-        assert (first["supportedEncodings"], len(first["sessionId"])) == (["ros1"], 16)
-        assert second == {"op": "advertise", "channels": []}
-        assert "clientPublish" not in here.client(Role.READ).json()[0]["capabilities"]
-
-    play(test)
+@within(world)
+async def test_client_first_receives_server_info_and_an_advertisement(here: World) -> None:
+    first, second, *_ = here.client().json()
+    assert first["op"] == "serverInfo"
+    assert first["capabilities"][0] == "clientPublish"
+    assert (first["supportedEncodings"], len(first["sessionId"])) == (["ros1"], 16)
+    assert second == {"op": "advertise", "channels": []}
+    assert "clientPublish" not in here.client(Role.READ).json()[0]["capabilities"]
 
 
-def test_channel_has_its_definition_and_a_new_id_after_each_return() -> None:
-    async def test(here: World) -> None:
-        peer, robot = here.client(), here.hub.join("robot")
-        robot.advertise("/path", "nav_msgs/Path")
+@within(world)
+async def test_channel_has_its_definition_and_a_new_id_after_each_return(here: World) -> None:
+    peer, robot = here.client(), here.hub.join("robot")
+    robot.advertise("/path", "nav_msgs/Path")
+    await asyncio.sleep(SETTLE_S)
+    (path,) = [each for each in peer.channels() if each["topic"] == "/path"]
+    assert (path["encoding"], path["schemaEncoding"], path["schemaName"]) == ("ros1", "ros1msg", "nav_msgs/Path")
+    assert "MSG: geometry_msgs/PoseStamped" in path["schema"]
+    robot.unadvertise("/path")
+    await asyncio.sleep(SETTLE_S)
+    assert {"op": "unadvertise", "channelIds": [path["id"]]} in peer.json()
+    robot.advertise("/path", "std_msgs/String")
+    assert await number_of(peer, "/path") != path["id"]
+
+
+@within(world)
+async def test_subscription_sends_latched_message_and_unchanged_payloads(here: World) -> None:
+    peer, robot = here.client(), here.hub.join("robot")
+    robot.advertise("/name", "std_msgs/String", is_latched=True)
+    robot.publish("/name", text("kept"))
+    peer.send(op="subscribe", subscriptions=[{"id": 9, "channelId": await number_of(peer, "/name")}])
+    robot.publish("/name", b"\xff no string at all")
+    received = peer.messages()
+    assert [(each[:2], each[3]) for each in received] == [
+        ((1, 9), text("kept")),
+        ((1, 9), b"\xff no string at all"),
+    ]
+    assert all(stamp_ns > 1_600_000_000_000_000_000 for _, _, stamp_ns, _ in received)
+    peer.send(op="unsubscribe", subscriptionIds=[9, 10])
+    robot.publish("/name", text("late"))
+    assert peer.received() == []
+
+
+@within(world)
+async def test_topic_without_definition_is_reported_once_without_channel(here: World) -> None:
+    peer = here.client()
+    for number in range(2):
+        topic = here.hub.topics.advertise("/lidar", f"link {number}", type_name="maker_msgs/Scan")
+        assert topic.type is None
         await asyncio.sleep(SETTLE_S)
-        (path,) = [each for each in peer.channels() if each["topic"] == "/path"]
-        assert (path["encoding"], path["schemaEncoding"], path["schemaName"]) == ("ros1", "ros1msg", "nav_msgs/Path")
-        assert "MSG: geometry_msgs/PoseStamped" in path["schema"]
-        robot.unadvertise("/path")
-        await asyncio.sleep(SETTLE_S)
-        assert {"op": "unadvertise", "channelIds": [path["id"]]} in peer.json()
-        robot.advertise("/path", "std_msgs/String")
-        assert await number_of(peer, "/path") != path["id"]
-
-    play(test)
+        statuses = [each for each in peer.json() if each["op"] == "status"]
+        if number == 0:
+            (status,) = statuses
+            assert (status["level"], status["id"]) == (1, "/lidar")
+            assert "maker_msgs/Scan has no definition; put its .msg into a folder" in status["message"]
+        else:
+            assert statuses == []
 
 
-def test_subscription_sends_latched_message_and_unchanged_payloads() -> None:
-    async def test(here: World) -> None:
-        peer, robot = here.client(), here.hub.join("robot")
-        robot.advertise("/name", "std_msgs/String", is_latched=True)
-        robot.publish("/name", text("kept"))
-        peer.send(op="subscribe", subscriptions=[{"id": 9, "channelId": await number_of(peer, "/name")}])
-        robot.publish("/name", b"\xff no string at all")
-        received = peer.messages()
-        assert [(each[:2], each[3]) for each in received] == [
-            ((1, 9), text("kept")),
-            ((1, 9), b"\xff no string at all"),
-        ]
-        assert all(stamp_ns > 1_600_000_000_000_000_000 for _, _, stamp_ns, _ in received)
-        peer.send(op="unsubscribe", subscriptionIds=[9, 10])
-        robot.publish("/name", text("late"))
-        assert peer.received() == []
-
-    play(test)
+@within(world)
+async def test_many_channels_are_advertised_in_batches(here: World) -> None:
+    robot = here.hub.join_daemon()
+    for number in range(3 * BATCH):
+        robot.advertise(f"/topic_{number}", "std_msgs/String")
+    await asyncio.sleep(SETTLE_S)
+    sizes = [len(each["channels"]) for each in here.client().json() if each["op"] == "advertise"]
+    assert (max(sizes), sum(sizes)) == (BATCH, 3 * BATCH + 1)
 
 
-def test_topic_without_definition_is_reported_once_without_channel() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        for number in range(2):
-            topic = here.hub.topics.advertise("/lidar", f"link {number}", type_name="maker_msgs/Scan")
-            assert topic.type is None
-            await asyncio.sleep(SETTLE_S)
-            statuses = [each for each in peer.json() if each["op"] == "status"]
-            if number == 0:
-                (status,) = statuses
-                assert (status["level"], status["id"]) == (1, "/lidar")
-                assert "maker_msgs/Scan has no definition; put its .msg into a folder" in status["message"]
-            else:
-                assert statuses == []
-
-    play(test)
-
-
-def test_many_channels_are_advertised_in_batches() -> None:
-    async def test(here: World) -> None:
-        robot = here.hub.join_daemon()
-        for number in range(3 * BATCH):
-            robot.advertise(f"/topic_{number}", "std_msgs/String")
-        await asyncio.sleep(SETTLE_S)
-        sizes = [len(each["channels"]) for each in here.client().json() if each["op"] == "advertise"]
-        assert (max(sizes), sum(sizes)) == (BATCH, 3 * BATCH + 1)
-
-    play(test)
+@within(world)
+async def test_slow_client_loses_oldest_of_the_topic_that_fills_its_queue(here: World) -> None:
+    peer, robot = here.client(), here.hub.join("robot")
+    for topic in ("/much", "/rare"):
+        robot.advertise(topic, "std_msgs/String")
+    await asyncio.sleep(SETTLE_S)
+    ids = {each["topic"]: each["id"] for each in peer.channels()}
+    wanted = [{"id": number, "channelId": ids[topic]} for number, topic in enumerate(("/much", "/rare"))]
+    peer.send(op="subscribe", subscriptions=wanted)
+    robot.publish("/rare", text("first"))
+    for number in range(MAX_MESSAGES + 10):
+        robot.publish("/much", text(str(number)))
+    assert peer.queue.dropped == 11
+    received = peer.messages()
+    assert (received[0][1], received[0][3]) == (1, text("first"))
+    assert (received[1][3], received[-1][3]) == (text("11"), text(str(MAX_MESSAGES + 9)))
 
 
-def test_slow_client_loses_oldest_of_the_topic_that_fills_its_queue() -> None:
-    async def test(here: World) -> None:
-        peer, robot = here.client(), here.hub.join("robot")
-        for topic in ("/much", "/rare"):
-            robot.advertise(topic, "std_msgs/String")
-        await asyncio.sleep(SETTLE_S)
-        ids = {each["topic"]: each["id"] for each in peer.channels()}
-        wanted = [{"id": number, "channelId": ids[topic]} for number, topic in enumerate(("/much", "/rare"))]
-        peer.send(op="subscribe", subscriptions=wanted)
-        robot.publish("/rare", text("first"))
-        for number in range(MAX_MESSAGES + 10):
-            robot.publish("/much", text(str(number)))
-        assert peer.queue.dropped == 11
-        received = peer.messages()
-        assert (received[0][1], received[0][3]) == (1, text("first"))
-        assert (received[1][3], received[-1][3]) == (text("11"), text(str(MAX_MESSAGES + 9)))
-
-    play(test)
-
-
-def test_graph_changes_wait_for_a_client_that_does_not_read() -> None:
-    async def test(here: World) -> None:
-        peer, robot = here.client(), here.hub.join("robot")
-        for number in range(3 * MAX_RESULTS):
-            robot.advertise("/flaps", "std_msgs/String")
-            robot.publish("/flaps", text(str(number)))
-            await asyncio.sleep(SETTLE_S)
-            peer.client.flush(asyncio.get_running_loop().time())
-            robot.unadvertise("/flaps")
-            await asyncio.sleep(SETTLE_S)
-            peer.client.flush(asyncio.get_running_loop().time())
-        assert not peer.queue.is_too_slow
-        peer.received()
-        now_s = asyncio.get_running_loop().time()
-        due_s = peer.client.flush(now_s)
-        assert due_s is not None
-        assert due_s > now_s + CHANGES_INTERVAL_S  # of the clock alone
+@within(world)
+async def test_graph_changes_wait_for_a_client_that_does_not_read(here: World) -> None:
+    peer, robot = here.client(), here.hub.join("robot")
+    for number in range(3 * MAX_RESULTS):
         robot.advertise("/flaps", "std_msgs/String")
-        await number_of(peer, "/flaps")
-
-    play(test)
+        robot.publish("/flaps", text(str(number)))
+        await asyncio.sleep(SETTLE_S)
+        peer.client.flush(asyncio.get_running_loop().time())
+        robot.unadvertise("/flaps")
+        await asyncio.sleep(SETTLE_S)
+        peer.client.flush(asyncio.get_running_loop().time())
+    assert not peer.queue.is_too_slow
+    peer.received()
+    now_s = asyncio.get_running_loop().time()
+    due_s = peer.client.flush(now_s)
+    assert due_s is not None
+    assert due_s > now_s + CHANGES_INTERVAL_S  # of the clock alone
+    robot.advertise("/flaps", "std_msgs/String")
+    await number_of(peer, "/flaps")
 
 
 # -- time -------------------------------------------------------------------------------------------------------------
@@ -192,164 +170,144 @@ def clock(secs: int, nsecs: int = 0) -> bytes:
     return struct.pack("<II", secs, nsecs)
 
 
-def test_host_time_is_sent_without_messages() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        began_ns = time.time_ns()
-        for number in range(10):
-            received = peer.received_with_times()
-            if number == 0:
-                assert "time" in received[0]["capabilities"]
-            await asyncio.sleep(INTERVAL_S + STEP_S)
-        assert len(peer.times) == 10
-        assert peer.times == sorted(set(peer.times))
-        assert began_ns <= peer.times[0] <= peer.times[-1] <= time.time_ns()
-
-    play(test)
+@within(world)
+async def test_host_time_is_sent_without_messages(here: World) -> None:
+    peer = here.client()
+    began_ns = time.time_ns()
+    for number in range(10):
+        received = peer.received_with_times()
+        if number == 0:
+            assert "time" in received[0]["capabilities"]
+        await asyncio.sleep(INTERVAL_S + STEP_S)
+    assert len(peer.times) == 10
+    assert peer.times == sorted(set(peer.times))
+    assert began_ns <= peer.times[0] <= peer.times[-1] <= time.time_ns()
 
 
-def test_time_before_a_message_is_sent_once_for_many() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        robot = await subscribed(here, peer)
+@within(world)
+async def test_time_before_a_message_is_sent_once_for_many(here: World) -> None:
+    peer = here.client()
+    robot = await subscribed(here, peer)
+    await asyncio.sleep(2 * STEP_S)
+    for number in range(3):
+        robot.publish("/chat", text(str(number)))
+    at_ns, first, *others = peer.received_with_times()
+    assert struct.unpack_from("<BIQ", first) == (1, 5, at_ns)
+    assert [each[13:] for each in others] == [text("1"), text("2")]
+
+
+@within(world)
+async def test_time_displaces_no_message_of_a_client_that_does_not_read(here: World) -> None:
+    peer = here.client()
+    robot = await subscribed(here, peer)
+    for number in range(MAX_MESSAGES):
+        robot.publish("/chat", text(str(number)))
         await asyncio.sleep(2 * STEP_S)
-        for number in range(3):
-            robot.publish("/chat", text(str(number)))
-        at_ns, first, *others = peer.received_with_times()
-        assert struct.unpack_from("<BIQ", first) == (1, 5, at_ns)
-        assert [each[13:] for each in others] == [text("1"), text("2")]
-
-    play(test)
+        peer.client.flush(asyncio.get_running_loop().time())
+    assert peer.queue.dropped == 0
+    assert len(peer.messages()) == MAX_MESSAGES
 
 
-def test_time_displaces_no_message_of_a_client_that_does_not_read() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        robot = await subscribed(here, peer)
-        for number in range(MAX_MESSAGES):
-            robot.publish("/chat", text(str(number)))
-            await asyncio.sleep(2 * STEP_S)
-            peer.client.flush(asyncio.get_running_loop().time())
-        assert peer.queue.dropped == 0
-        assert len(peer.messages()) == MAX_MESSAGES
-
-    play(test)
-
-
-def test_published_clock_replaces_the_host_time() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        robot, simulator = await subscribed(here, peer), here.hub.join("simulator")
-        simulator.advertise("/clock", "rosgraph_msgs/Clock")
-        await asyncio.sleep(SETTLE_S)
-        peer.received()
-        simulator.publish("/clock", clock(77, 5))
-        assert peer.received_with_times() == [77_000_000_005]
-        robot.publish("/chat", text("simulated"))
-        ((_, _, stamp_ns, _),) = peer.messages()
-        assert stamp_ns == 77_000_000_005
-        await asyncio.sleep(5 * INTERVAL_S)
-        assert peer.received_with_times() == []  # it has stopped
-        simulator.publish("/clock", clock(3))  # it begins again
-        assert peer.received_with_times() == [3_000_000_000]
-        simulator.publish("/clock", b"no time")
-        simulator.leave()
-        await asyncio.sleep(SETTLE_S)
-        peer.received()
-        assert here.hub.topics.find_or_none("/clock") is None
-        await asyncio.sleep(INTERVAL_S)
-        robot.publish("/chat", text("real"))
-        ((_, _, stamp_ns, _),) = peer.messages()
-        assert abs(stamp_ns - time.time_ns()) < 60_000_000_000
-        assert peer.times[-1] == stamp_ns
-
-    play(test)
+@within(world)
+async def test_published_clock_replaces_the_host_time(here: World) -> None:
+    peer = here.client()
+    robot, simulator = await subscribed(here, peer), here.hub.join("simulator")
+    simulator.advertise("/clock", "rosgraph_msgs/Clock")
+    await asyncio.sleep(SETTLE_S)
+    peer.received()
+    simulator.publish("/clock", clock(77, 5))
+    assert peer.received_with_times() == [77_000_000_005]
+    robot.publish("/chat", text("simulated"))
+    ((_, _, stamp_ns, _),) = peer.messages()
+    assert stamp_ns == 77_000_000_005
+    await asyncio.sleep(5 * INTERVAL_S)
+    assert peer.received_with_times() == []  # it has stopped
+    simulator.publish("/clock", clock(3))  # it begins again
+    assert peer.received_with_times() == [3_000_000_000]
+    simulator.publish("/clock", b"no time")
+    simulator.leave()
+    await asyncio.sleep(SETTLE_S)
+    peer.received()
+    assert here.hub.topics.find_or_none("/clock") is None
+    await asyncio.sleep(INTERVAL_S)
+    robot.publish("/chat", text("real"))
+    ((_, _, stamp_ns, _),) = peer.messages()
+    assert abs(stamp_ns - time.time_ns()) < 60_000_000_000
+    assert peer.times[-1] == stamp_ns
 
 
-def test_clock_of_another_type_is_ignored() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        robot, sketch = await subscribed(here, peer), here.hub.join("sketch")
-        sketch.advertise("/clock", "std_msgs/Time")
-        await asyncio.sleep(SETTLE_S)
-        peer.received()
-        sketch.publish("/clock", clock(77))
-        robot.publish("/chat", text("now"))
-        ((_, _, stamp_ns, _),) = peer.messages()
-        assert abs(stamp_ns - time.time_ns()) < 60_000_000_000
-
-    play(test)
+@within(world)
+async def test_clock_of_another_type_is_ignored(here: World) -> None:
+    peer = here.client()
+    robot, sketch = await subscribed(here, peer), here.hub.join("sketch")
+    sketch.advertise("/clock", "std_msgs/Time")
+    await asyncio.sleep(SETTLE_S)
+    peer.received()
+    sketch.publish("/clock", clock(77))
+    robot.publish("/chat", text("now"))
+    ((_, _, stamp_ns, _),) = peer.messages()
+    assert abs(stamp_ns - time.time_ns()) < 60_000_000_000
 
 
-def test_client_at_subscription_limit_keeps_the_host_time() -> None:
-    async def test(here: World) -> None:
-        peer, simulator = here.client(), here.hub.join("simulator")
-        for number in range(MAX_SUBSCRIPTIONS):
-            peer.client.participant.subscribe(f"/topic_{number}", lambda _: None)
-        simulator.advertise("/clock", "rosgraph_msgs/Clock")
-        await asyncio.sleep(SETTLE_S)
-        peer.received()
-        simulator.publish("/clock", clock(77))
-        await asyncio.sleep(INTERVAL_S)
-        peer.received()
-        assert peer.times[-1] > 1_600_000_000_000_000_000
-
-    play(test)
+@within(world)
+async def test_client_at_subscription_limit_keeps_the_host_time(here: World) -> None:
+    peer, simulator = here.client(), here.hub.join("simulator")
+    for number in range(MAX_SUBSCRIPTIONS):
+        peer.client.participant.subscribe(f"/topic_{number}", lambda _: None)
+    simulator.advertise("/clock", "rosgraph_msgs/Clock")
+    await asyncio.sleep(SETTLE_S)
+    peer.received()
+    simulator.publish("/clock", clock(77))
+    await asyncio.sleep(INTERVAL_S)
+    peer.received()
+    assert peer.times[-1] > 1_600_000_000_000_000_000
 
 
 # -- what it may publish ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x05\x00\x00\x00abc", text("x") + b"more"])
-def test_payload_that_is_not_one_message_is_refused(payload: bytes) -> None:
-    async def test(here: World) -> None:
-        peer, heard = here.client(), list[bytes]()
-        here.hub.join("other").subscribe("/chat", lambda message: heard.append(message.payload))
-        peer.send(op="advertise", channels=[channel(1, "/chat")])
+@within(world)
+async def test_payload_that_is_not_one_message_is_refused(here: World, payload: bytes) -> None:
+    peer, heard = here.client(), list[bytes]()
+    here.hub.join("other").subscribe("/chat", lambda message: heard.append(message.payload))
+    peer.send(op="advertise", channels=[channel(1, "/chat")])
+    peer.publish(1, payload)
+    (status,) = peer.statuses()
+    assert "std_msgs/String" in status
+    assert heard == []
+
+
+@within(world)
+async def test_payload_of_fixed_size_is_checked_without_decoding(here: World) -> None:
+    peer = here.client()
+    peer.send(op="advertise", channels=[channel(1, "/cmd", "geometry_msgs/Twist")])
+    peer.publish(1, bytes(47))
+    assert peer.statuses() == ["geometry_msgs/Twist: 47 bytes instead of 48"]
+    peer.publish(1, bytes(48))
+    assert {"op": "removeStatus", "statusIds": ["/cmd"]} in peer.json()
+
+
+@within(world)
+async def test_repeated_refusal_is_sent_once_until_a_message_is_accepted(here: World) -> None:
+    peer = here.client()
+    peer.send(op="advertise", channels=[channel(1, "/chat")])
+    for payload in (b"", b"", text("fine"), b""):
         peer.publish(1, payload)
-        (status,) = peer.statuses()
-        assert "std_msgs/String" in status
-        assert heard == []
-
-    play(test)
+    ops = [each["op"] for each in peer.json() if each["op"] in ("status", "removeStatus")]
+    assert ops == ["status", "removeStatus", "status"]
 
 
-def test_payload_of_fixed_size_is_checked_without_decoding() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        peer.send(op="advertise", channels=[channel(1, "/cmd", "geometry_msgs/Twist")])
-        peer.publish(1, bytes(47))
-        assert peer.statuses() == ["geometry_msgs/Twist: 47 bytes instead of 48"]
-        peer.publish(1, bytes(48))
-        assert {"op": "removeStatus", "statusIds": ["/cmd"]} in peer.json()
-
-    play(test)
-
-
-def test_repeated_refusal_is_sent_once_until_a_message_is_accepted() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        peer.send(op="advertise", channels=[channel(1, "/chat")])
-        for payload in (b"", b"", text("fine"), b""):
-            peer.publish(1, payload)
-        ops = [each["op"] for each in peer.json() if each["op"] in ("status", "removeStatus")]
-        assert ops == ["status", "removeStatus", "status"]
-
-    play(test)
-
-
-def test_refusal_is_forgotten_with_its_channel() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        for number in range(100):
-            peer.send(op="advertise", channels=[channel(1, f"/topic_{number}")])
-            peer.publish(1, b"")
-            peer.send(op="unadvertise", channelIds=[1])
-            removed = [each["statusIds"] for each in peer.json() if each["op"] == "removeStatus"]
-            assert removed == [[f"/topic_{number}"]]
-        assert not peer.client._refused
-
-    play(test)
+@within(world)
+async def test_refusal_is_forgotten_with_its_channel(here: World) -> None:
+    peer = here.client()
+    for number in range(100):
+        peer.send(op="advertise", channels=[channel(1, f"/topic_{number}")])
+        peer.publish(1, b"")
+        peer.send(op="unadvertise", channelIds=[1])
+        removed = [each["statusIds"] for each in peer.json() if each["op"] == "removeStatus"]
+        assert removed == [[f"/topic_{number}"]]
+    assert not peer.client._refused
 
 
 @pytest.mark.parametrize(
@@ -361,66 +319,56 @@ def test_refusal_is_forgotten_with_its_channel() -> None:
         (channel(2, "/chat", "std_msgs/Int32"), "std_msgs/String"),
     ],
 )
-def test_invalid_channel_is_refused_with_the_reason(wanted: dict[str, Any], reason: str) -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        peer.send(op="advertise", channels=[channel(1, "/chat")])
-        peer.send(op="advertise", channels=[wanted])
-        (status,) = peer.statuses()
-        assert reason in status
-
-    play(test)
+@within(world)
+async def test_invalid_channel_is_refused_with_the_reason(here: World, wanted: dict[str, Any], reason: str) -> None:
+    peer = here.client()
+    peer.send(op="advertise", channels=[channel(1, "/chat")])
+    peer.send(op="advertise", channels=[wanted])
+    (status,) = peer.statuses()
+    assert reason in status
 
 
-def test_topic_is_withdrawn_with_its_last_channel() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        peer.send(op="advertise", channels=[channel(1, "/chat"), channel(2, "chat")])
-        for number, is_published in ((1, True), (2, False)):
-            peer.send(op="unadvertise", channelIds=[number, 77])
-            assert (here.hub.topics.find_or_none("/chat") is not None) is is_published
-        peer.publish(1, text("late"))
-        assert peer.statuses() == ["publish: the channel 1 is not advertised"]
-
-    play(test)
+@within(world)
+async def test_topic_is_withdrawn_with_its_last_channel(here: World) -> None:
+    peer = here.client()
+    peer.send(op="advertise", channels=[channel(1, "/chat"), channel(2, "chat")])
+    for number, is_published in ((1, True), (2, False)):
+        peer.send(op="unadvertise", channelIds=[number, 77])
+        assert (here.hub.topics.find_or_none("/chat") is not None) is is_published
+    peer.publish(1, text("late"))
+    assert peer.statuses() == ["publish: the channel 1 is not advertised"]
 
 
-def test_client_with_role_read_changes_nothing() -> None:
-    async def test(here: World) -> None:
-        peer = here.client(Role.READ)
-        peer.send(op="advertise", channels=[channel(1, "/chat")])
-        peer.send(op="setParameters", parameters=[{"name": "/gain", "value": 1}], id="x")
-        refused = "the token may only read; use one with the role drive"
-        assert [status.partition(": ")[2] for status in peer.statuses()] == [refused] * 2
-        assert here.hub.parameters == {}
-        assert here.hub.topics.find_or_none("/chat") is None
-
-    play(test)
+@within(world)
+async def test_client_with_role_read_changes_nothing(here: World) -> None:
+    peer = here.client(Role.READ)
+    peer.send(op="advertise", channels=[channel(1, "/chat")])
+    peer.send(op="setParameters", parameters=[{"name": "/gain", "value": 1}], id="x")
+    refused = "the token may only read; use one with the role drive"
+    assert [status.partition(": ")[2] for status in peer.statuses()] == [refused] * 2
+    assert here.hub.parameters == {}
+    assert here.hub.topics.find_or_none("/chat") is None
 
 
-def test_all_refusals_of_one_request_have_one_status() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        peer.send(op="subscribe", subscriptions=[{"id": number, "channelId": 900 + number} for number in range(500)])
-        assert peer.statuses() == ["subscribe: there is no channel 900 (and 499 more)"]
-        peer.send(op="subscribe", subscriptions=[{"id": 1, "channelId": 1}] * 1025)
-        assert peer.statuses() == ["Expected `array` of length <= 1024 - at `$.subscriptions`"]
-
-    play(test)
+@within(world)
+async def test_all_refusals_of_one_request_have_one_status(here: World) -> None:
+    peer = here.client()
+    peer.send(op="subscribe", subscriptions=[{"id": number, "channelId": 900 + number} for number in range(500)])
+    assert peer.statuses() == ["subscribe: there is no channel 900 (and 499 more)"]
+    peer.send(op="subscribe", subscriptions=[{"id": 1, "channelId": 1}] * 1025)
+    assert peer.statuses() == ["Expected `array` of length <= 1024 - at `$.subscriptions`"]
 
 
-def test_subscription_id_and_channel_are_used_once() -> None:
-    async def test(here: World) -> None:
-        peer, robot = here.client(), here.hub.join("robot")
-        for topic in ("/a", "/b"):
-            robot.advertise(topic, "std_msgs/String")
-        await asyncio.sleep(SETTLE_S)
-        ids = {each["topic"]: each["id"] for each in peer.channels()}
-        for number, topic in ((1, "/a"), (1, "/b"), (2, "/a")):
-            peer.send(op="subscribe", subscriptions=[{"id": number, "channelId": ids[topic]}])
-        assert peer.statuses() == ["subscribe: the id 1 is in use", "subscribe: /a is subscribed already"]
-
-    play(test)
+@within(world)
+async def test_subscription_id_and_channel_are_used_once(here: World) -> None:
+    peer, robot = here.client(), here.hub.join("robot")
+    for topic in ("/a", "/b"):
+        robot.advertise(topic, "std_msgs/String")
+    await asyncio.sleep(SETTLE_S)
+    ids = {each["topic"]: each["id"] for each in peer.channels()}
+    for number, topic in ((1, "/a"), (1, "/b"), (2, "/a")):
+        peer.send(op="subscribe", subscriptions=[{"id": number, "channelId": ids[topic]}])
+    assert peer.statuses() == ["subscribe: the id 1 is in use", "subscribe: /a is subscribed already"]
 
 
 # -- parameters -------------------------------------------------------------------------------------------------------
@@ -430,31 +378,29 @@ def values(peer: Peer) -> list[dict[str, Any]]:
     return [each for each in peer.json() if each["op"] == "parameterValues"]
 
 
-def test_parameters_are_read_set_and_removed_with_types() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        here.hub.parameters.update({"robot_0/gain": 2.0, "/name": "x", "/list": [1, 2], "/floats": [1.0, 2.0]})
-        peer.send(op="getParameters", parameterNames=[], id="all")
-        (answer,) = values(peer)
-        assert answer["id"] == "all"
-        assert answer["parameters"] == [
-            {"name": "/robot_0/gain", "value": 2.0, "type": "float64"},
-            {"name": "/name", "value": "x"},
-            {"name": "/list", "value": [1, 2]},
-            {"name": "/floats", "value": [1.0, 2.0], "type": "float64_array"},
-        ]
-        settings = [
-            {"name": "/robot_0/gain", "value": 3, "type": "float64"},
-            {"name": "/floats", "value": [1, 2], "type": "float64_array"},
-            {"name": "/name"},
-        ]
-        peer.send(op="setParameters", parameters=settings, id="set")
-        assert here.hub.parameters == {"robot_0/gain": 3.0, "/list": [1, 2], "/floats": [1.0, 2.0]}
-        assert isinstance(here.hub.parameters["robot_0/gain"], float)
-        (answer,) = values(peer)
-        assert [each["name"] for each in answer["parameters"]] == ["/robot_0/gain", "/floats"]
-
-    play(test)
+@within(world)
+async def test_parameters_are_read_set_and_removed_with_types(here: World) -> None:
+    peer = here.client()
+    here.hub.parameters.update({"robot_0/gain": 2.0, "/name": "x", "/list": [1, 2], "/floats": [1.0, 2.0]})
+    peer.send(op="getParameters", parameterNames=[], id="all")
+    (answer,) = values(peer)
+    assert answer["id"] == "all"
+    assert answer["parameters"] == [
+        {"name": "/robot_0/gain", "value": 2.0, "type": "float64"},
+        {"name": "/name", "value": "x"},
+        {"name": "/list", "value": [1, 2]},
+        {"name": "/floats", "value": [1.0, 2.0], "type": "float64_array"},
+    ]
+    settings = [
+        {"name": "/robot_0/gain", "value": 3, "type": "float64"},
+        {"name": "/floats", "value": [1, 2], "type": "float64_array"},
+        {"name": "/name"},
+    ]
+    peer.send(op="setParameters", parameters=settings, id="set")
+    assert here.hub.parameters == {"robot_0/gain": 3.0, "/list": [1, 2], "/floats": [1.0, 2.0]}
+    assert isinstance(here.hub.parameters["robot_0/gain"], float)
+    (answer,) = values(peer)
+    assert [each["name"] for each in answer["parameters"]] == ["/robot_0/gain", "/floats"]
 
 
 @pytest.mark.parametrize(
@@ -468,49 +414,43 @@ def test_parameters_are_read_set_and_removed_with_types() -> None:
         {"value": 10**400, "type": "float64"},
     ],
 )
-def test_parameter_that_fits_no_device_is_refused(setting: dict[str, Any]) -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        peer.send(op="setParameters", parameters=[{"name": "/gain", **setting}])
-        assert len(peer.statuses()) == 1
-        assert here.hub.parameters == {}
-
-    play(test)
+@within(world)
+async def test_parameter_that_fits_no_device_is_refused(here: World, setting: dict[str, Any]) -> None:
+    peer = here.client()
+    peer.send(op="setParameters", parameters=[{"name": "/gain", **setting}])
+    assert len(peer.statuses()) == 1
+    assert here.hub.parameters == {}
 
 
-def test_watched_parameters_are_sent_after_every_change() -> None:
-    async def test(here: World) -> None:
-        peer = here.client()
-        here.hub.parameters["/gain"] = 1
-        peer.send(op="subscribeParameterUpdates", parameterNames=["/gain", "/later"])
-        peer.received()
-        here.hub.parameters.update({"gain": 5, "/later": True, "/other": 1})
-        del here.hub.parameters["/gain"]
-        await asyncio.sleep(CHECK_INTERVAL_S)
-        (update,) = values(peer)
-        assert update["parameters"] == [{"name": "/gain", "value": 5}, {"name": "/later", "value": True}]
-        del here.hub.parameters["/later"]
-        await asyncio.sleep(1.0)
-        assert values(peer)[0]["parameters"] == [{"name": "/later"}]
-        peer.send(op="unsubscribeParameterUpdates", parameterNames=[])
-        here.hub.parameters["/gain"] = 6
-        await asyncio.sleep(2 * CHECK_INTERVAL_S)
-        assert values(peer) == []
-
-    play(test)
+@within(world)
+async def test_watched_parameters_are_sent_after_every_change(here: World) -> None:
+    peer = here.client()
+    here.hub.parameters["/gain"] = 1
+    peer.send(op="subscribeParameterUpdates", parameterNames=["/gain", "/later"])
+    peer.received()
+    here.hub.parameters.update({"gain": 5, "/later": True, "/other": 1})
+    del here.hub.parameters["/gain"]
+    await asyncio.sleep(CHECK_INTERVAL_S)
+    (update,) = values(peer)
+    assert update["parameters"] == [{"name": "/gain", "value": 5}, {"name": "/later", "value": True}]
+    del here.hub.parameters["/later"]
+    await asyncio.sleep(1.0)
+    assert values(peer)[0]["parameters"] == [{"name": "/later"}]
+    peer.send(op="unsubscribeParameterUpdates", parameterNames=[])
+    here.hub.parameters["/gain"] = 6
+    await asyncio.sleep(2 * CHECK_INTERVAL_S)
+    assert values(peer) == []
 
 
-def test_graph_requested_repeatedly_is_sent_at_a_limited_rate() -> None:
-    async def test(here: World) -> None:
-        peer, updates = here.client(), 0
-        for _ in range(1000):
-            peer.send(op="unsubscribeConnectionGraph")
-            peer.send(op="subscribeConnectionGraph")
-            updates += sum(each["op"] == "connectionGraphUpdate" for each in peer.json())
-            await asyncio.sleep(0.001)
-        assert 10 <= updates <= 21
-
-    play(test)
+@within(world)
+async def test_graph_requested_repeatedly_is_sent_at_a_limited_rate(here: World) -> None:
+    peer, updates = here.client(), 0
+    for _ in range(1000):
+        peer.send(op="unsubscribeConnectionGraph")
+        peer.send(op="subscribeConnectionGraph")
+        updates += sum(each["op"] == "connectionGraphUpdate" for each in peer.json())
+        await asyncio.sleep(0.001)
+    assert 10 <= updates <= 21
 
 
 # -- frames and the connection graph ----------------------------------------------------------------------------------

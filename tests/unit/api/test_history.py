@@ -7,9 +7,13 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from hostlink.api import history as module
-from hostlink.api.history import PIECE, HistoryRoutes, Pauses, encode_history, stored_history
+from hostlink.api.history import PIECE, HistoryRoutes, Pauses, encode_history, incident_views, stored_history
 from hostlink.recording.black_box import BlackBox
+from hostlink.recording.folder import StoredFile
+from hostlink.recording.incident import Incident, SavedIncident
 from hostlink.recording.mcap_writer import McapWriter
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, VELOCITY_ID
 from tests.support.rest_memory import RestMemory, rest_memory
@@ -132,3 +136,19 @@ def test_reading_thread_pauses_only_after_it_has_worked_for_a_while(monkeypatch:
         now_s = step * module.WORK_S / 2
         pauses()
     assert slept == [module.REST_S] * 4
+
+
+OLD = Incident("robot_0", "locked", "smoke", 1_000_000_000_000)
+NEW = Incident("robot_0", "gone", "its link ended while it was driven", 2_000_000_000_000)
+
+
+def saved(incident: Incident) -> SavedIncident:
+    return SavedIncident(incident, StoredFile(f"{incident.cause}.mcap", 9, 0.0))
+
+
+@pytest.mark.parametrize(
+    "pending", [[NEW], [OLD, NEW]], ids=["another", "one that was saved while the files were read"]
+)
+def test_pending_incidents_are_listed_first_and_a_saved_one_once(pending: list[Incident]) -> None:
+    views = incident_views(pending, [saved(OLD)])
+    assert [(each["cause"], each["file"]) for each in views] == [("gone", ""), ("locked", "locked.mcap")]

@@ -20,7 +20,7 @@ from hostlink.hub.hub import Hub
 from hostlink.link.fair_share import TURN_S
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import inside, run_virtual
 
 TIMEOUT_S = 7.0
 
@@ -100,256 +100,218 @@ def check(test: Callable[[Scene], Awaitable[None]], behind_since_s: float | None
     run_virtual(run())
 
 
-def test_request_read_alone_is_passed_on_at_once_and_as_old_as_its_read() -> None:
-    async def test(scene: Scene) -> None:
-        assert len(scene.reading.get_buffer(-1)) == REQUEST_BYTES
-        scene.read(b"GET")
-        assert (scene.received, scene.reading.reads, scene.reading.came_s) == (b"GET", 1, 100.0)
-        await asyncio.sleep(1.0)
-        scene.read(b" /")
-        assert (scene.received, scene.reading.reads, scene.reading.came_s) == (b"GET /", 2, 101.0)
-        scene.reading.begin_request()
-        assert scene.reading.request_came_s == 100.0
-
-    check(test)
+@inside(check)
+async def test_request_read_alone_is_passed_on_at_once_and_as_old_as_its_read(scene: Scene) -> None:
+    assert len(scene.reading.get_buffer(-1)) == REQUEST_BYTES
+    scene.read(b"GET")
+    assert (scene.received, scene.reading.reads, scene.reading.came_s) == (b"GET", 1, 100.0)
+    await asyncio.sleep(1.0)
+    scene.read(b" /")
+    assert (scene.received, scene.reading.reads, scene.reading.came_s) == (b"GET /", 2, 101.0)
+    scene.reading.begin_request()
+    assert scene.reading.request_came_s == 100.0
 
 
-def test_first_bytes_of_a_connection_are_as_old_as_its_wait_for_acceptance() -> None:
-    async def test(scene: Scene) -> None:
-        scene.read(b"GET")
-        assert scene.reading.came_s == 40.0
-        scene.read(b" /")
-        assert scene.reading.came_s == 100.0
-
-    check(test, behind_since_s=40.0)
+@inside(check, behind_since_s=40.0)
+async def test_first_bytes_of_a_connection_are_as_old_as_its_wait_for_acceptance(scene: Scene) -> None:
+    scene.read(b"GET")
+    assert scene.reading.came_s == 40.0
+    scene.read(b" /")
+    assert scene.reading.came_s == 100.0
 
 
-def test_second_request_read_before_the_first_is_answered_is_as_old_as_the_first() -> None:
-    async def test(scene: Scene) -> None:
-        scene.read(b"1")
-        scene.reading.begin_request()
-        await asyncio.sleep(2.0)
-        scene.read(b"2")
-        scene.reading.begin_request()
-        assert scene.reading.request_came_s == 100.0
-        scene.reading.end_request()
-        await asyncio.sleep(2.0)
-        scene.read(b"3")
-        scene.reading.begin_request()
-        assert scene.reading.request_came_s == 104.0
-
-    check(test)
+@inside(check)
+async def test_second_request_read_before_the_first_is_answered_is_as_old_as_the_first(scene: Scene) -> None:
+    scene.read(b"1")
+    scene.reading.begin_request()
+    await asyncio.sleep(2.0)
+    scene.read(b"2")
+    scene.reading.begin_request()
+    assert scene.reading.request_came_s == 100.0
+    scene.reading.end_request()
+    await asyncio.sleep(2.0)
+    scene.read(b"3")
+    scene.reading.begin_request()
+    assert scene.reading.request_came_s == 104.0
 
 
 @pytest.mark.parametrize("is_web_socket", [False, True])
-def test_bytes_behind_a_full_buffer_are_as_old_as_those_before_them(is_web_socket: bool) -> None:
-    async def test(scene: Scene) -> None:
-        if is_web_socket:
-            scene.become_web_socket()
-        size = SOCKET_BYTES if is_web_socket else REQUEST_BYTES
-        assert len(scene.reading.get_buffer(-1)) == size
-        scene.read(bytes(size))
-        await asyncio.sleep(1.0)
-        scene.read(b"behind")
-        assert scene.reading.came_s == 100.0
-        await asyncio.sleep(1.0)
-        scene.read(b"later")
-        assert scene.reading.came_s == 102.0
-
-    check(test)
-
-
-def test_large_read_waits_for_its_turn_while_reading_is_paused() -> None:
-    async def test(scene: Scene) -> None:
-        data = bytes(range(256)) * (REQUEST_BYTES // 256)
-        scene.read(data)
-        assert (scene.received, scene.transport.is_paused) == (b"", True)
-        await asyncio.sleep(0.001)
-        assert (scene.received, scene.transport.is_paused) == (data, False)
-
-    check(test)
-
-
-def test_request_waits_while_another_client_has_the_turn() -> None:
-    async def test(scene: Scene) -> None:
-        scene.fill_turn()
-        scene.read(b"GET")
-        assert (scene.received, scene.transport.is_paused) == (b"", True)
-        await asyncio.sleep(0.001)
-        assert (scene.received, scene.transport.is_paused) == (b"GET", False)
-
-    check(test)
-
-
-def test_reading_that_the_inner_protocol_pauses_stays_paused() -> None:
-    async def test(scene: Scene) -> None:
-        scene.inner.on_data = scene.transport.pause_reading
-        scene.read(bytes(REQUEST_BYTES))
-        await asyncio.sleep(0.001)
-        assert (len(scene.received), scene.transport.is_paused) == (REQUEST_BYTES, True)
-
-    check(test)
-
-
-def test_held_bytes_of_a_closed_connection_are_dropped() -> None:
-    async def test(scene: Scene) -> None:
-        scene.read(bytes(REQUEST_BYTES))
-        scene.transport.close()
-        scene.reading.connection_lost(None)
-        await asyncio.sleep(0.001)
-        assert (scene.received, scene.inner.calls[:2]) == (b"", ["made", "lost"])
-        assert len(scene.connections) == 0
-
-    check(test)
-
-
-def test_held_bytes_of_a_closing_connection_are_passed_on_without_reading_more() -> None:
-    async def test(scene: Scene) -> None:
-        scene.read(bytes(REQUEST_BYTES))
-        scene.transport.is_closed = True
-        await asyncio.sleep(0.001)
-        assert (len(scene.received), scene.transport.is_paused) == (REQUEST_BYTES, True)
-
-    check(test)
-
-
-def test_refused_body_is_not_read() -> None:
-    async def test(scene: Scene) -> None:
-        scene.read(b"POST")
-        scene.reading.refuse_body()
-        scene.read(b"body")
-        await asyncio.sleep(1.0)
-        assert (scene.received, scene.transport.is_paused) == (b"POST", True)
-
-    check(test)
-
-
-def test_connection_waits_before_a_request_in_a_body_and_after_an_answer() -> None:
-    async def test(scene: Scene) -> None:
-        overdue = scene.connections.overdue
-        scene.reading.begin_request()
-        assert overdue(1e6) == []
-        with scene.reading.receiving_body():
-            assert overdue(100.0 + IDLE_TIMEOUT_S - 0.1) == []
-            assert scene.connections._waiting
-        assert overdue(1e6) == []
-        scene.reading.end_request()
-        assert overdue(100.0 + IDLE_TIMEOUT_S) == [scene.connection]
-
-    check(test)
-
-
-def test_web_socket_message_is_passed_on_at_once_even_in_a_used_up_turn() -> None:
-    async def test(scene: Scene) -> None:
+@inside(check)
+async def test_bytes_behind_a_full_buffer_are_as_old_as_those_before_them(scene: Scene, is_web_socket: bool) -> None:
+    if is_web_socket:
         scene.become_web_socket()
-        scene.fill_turn()
-        scene.read(bytes(SOCKET_BYTES))
-        assert (len(scene.received), len(scene.reads)) == (SOCKET_BYTES, 1)
-        assert (scene.reading.unread_bytes, scene.share.held_bytes) == (SOCKET_BYTES, 0)
-        scene.reading.leave_web_socket()
-        scene.reading.unread_bytes = 0
-        scene.read(b"x")
-        assert len(scene.reads) == 1
-
-    check(test)
-
-
-def test_large_web_socket_message_takes_room_until_it_is_given_back() -> None:
-    async def test(scene: Scene) -> None:
-        scene.become_web_socket()
-        scene.read(bytes(LARGE_BYTES))
-        assert (scene.reading.has_room, scene.share.held_bytes) == (False, 0)
-        scene.read(b"x")
-        room = min(scene.hub.config.api.max_message_bytes, scene.share.max_bytes)
-        assert (scene.reading.has_room, scene.share.held_bytes) == (True, room)
-        scene.read(b"x")
-        assert scene.share.held_bytes == room
-        scene.reading.give_room()
-        scene.reading.give_room()
-        assert (scene.reading.has_room, scene.share.held_bytes) == (False, 0)
-        await asyncio.sleep(2 * TIMEOUT_S)
-        assert not scene.transport.is_closed
-
-    check(test)
+    size = SOCKET_BYTES if is_web_socket else REQUEST_BYTES
+    assert len(scene.reading.get_buffer(-1)) == size
+    scene.read(bytes(size))
+    await asyncio.sleep(1.0)
+    scene.read(b"behind")
+    assert scene.reading.came_s == 100.0
+    await asyncio.sleep(1.0)
+    scene.read(b"later")
+    assert scene.reading.came_s == 102.0
 
 
-def test_large_web_socket_message_that_does_not_end_is_aborted_after_the_timeout() -> None:
-    async def test(scene: Scene) -> None:
-        scene.become_web_socket()
-        scene.read(bytes(LARGE_BYTES))
-        scene.read(b"x")
-        await asyncio.sleep(TIMEOUT_S - 0.1)
-        assert not scene.transport.is_closed
-        await asyncio.sleep(0.2)
-        assert (scene.transport.is_closed, scene.share.held_bytes) == (True, 0)
-
-    check(test)
+@inside(check)
+async def test_large_read_waits_for_its_turn_while_reading_is_paused(scene: Scene) -> None:
+    data = bytes(range(256)) * (REQUEST_BYTES // 256)
+    scene.read(data)
+    assert (scene.received, scene.transport.is_paused) == (b"", True)
+    await asyncio.sleep(0.001)
+    assert (scene.received, scene.transport.is_paused) == (data, False)
 
 
-def test_large_web_socket_message_waits_until_the_budget_has_room() -> None:
-    async def test(scene: Scene) -> None:
-        scene.become_web_socket()
-        scene.share.add(scene.share.max_bytes)
-        scene.read(bytes(LARGE_BYTES))
-        scene.read(b"rest")
-        assert (len(scene.received), scene.transport.is_paused) == (LARGE_BYTES, True)
-        scene.share.give(1)
-        assert (len(scene.received), scene.transport.is_paused) == (LARGE_BYTES, True)
-        await asyncio.sleep(5.0)
-        scene.share.give(scene.share.held_bytes)
-        assert (scene.received[LARGE_BYTES:], scene.transport.is_paused) == (b"rest", False)
-        assert (scene.reading.unread_bytes, scene.reading.has_room) == (LARGE_BYTES + 4, True)
-        scene.read(b"after")
-        assert scene.reading.came_s == 100.0  # it may have waited in the socket as long
-
-    check(test)
+@inside(check)
+async def test_request_waits_while_another_client_has_the_turn(scene: Scene) -> None:
+    scene.fill_turn()
+    scene.read(b"GET")
+    assert (scene.received, scene.transport.is_paused) == (b"", True)
+    await asyncio.sleep(0.001)
+    assert (scene.received, scene.transport.is_paused) == (b"GET", False)
 
 
-def test_lost_web_socket_that_waits_for_room_takes_none() -> None:
-    async def test(scene: Scene) -> None:
-        scene.become_web_socket()
-        scene.share.add(scene.share.max_bytes)
-        scene.read(bytes(LARGE_BYTES))
-        scene.read(b"rest")
-        scene.reading.connection_lost(None)
-        scene.share.give(scene.share.max_bytes)
-        assert (scene.share.held_bytes, len(scene.received)) == (0, LARGE_BYTES)
-
-    check(test)
+@inside(check)
+async def test_reading_that_the_inner_protocol_pauses_stays_paused(scene: Scene) -> None:
+    scene.inner.on_data = scene.transport.pause_reading
+    scene.read(bytes(REQUEST_BYTES))
+    await asyncio.sleep(0.001)
+    assert (len(scene.received), scene.transport.is_paused) == (REQUEST_BYTES, True)
 
 
-def test_pings_do_not_count_as_bytes_of_a_message() -> None:
-    async def test(scene: Scene) -> None:
-        scene.become_web_socket()
-        scene.read(bytes(CONTROL_FRAME_BYTES + 4))
-        scene.reading.receive_control(4)
-        assert scene.reading.unread_bytes == 0
-        scene.reading.receive_control(4)
-        assert scene.reading.unread_bytes == 0
-        scene.read(bytes(100))
-        scene.reading.receive_control(4)
-        assert scene.reading.unread_bytes == 100 - 4 - CONTROL_FRAME_BYTES
-
-    check(test)
+@inside(check)
+async def test_held_bytes_of_a_closed_connection_are_dropped(scene: Scene) -> None:
+    scene.read(bytes(REQUEST_BYTES))
+    scene.transport.close()
+    scene.reading.connection_lost(None)
+    await asyncio.sleep(0.001)
+    assert (scene.received, scene.inner.calls[:2]) == (b"", ["made", "lost"])
+    assert len(scene.connections) == 0
 
 
-def test_writing_that_may_continue_calls_the_web_socket() -> None:
-    async def test(scene: Scene) -> None:
-        writable: list[None] = []
-        scene.reading.become_web_socket(on_read=lambda: None, on_writable=lambda: writable.append(None))
-        scene.reading.pause_writing()
-        assert (scene.reading.is_writing_paused, writable) == (True, [])
-        scene.reading.resume_writing()
-        assert (scene.reading.is_writing_paused, writable) == (False, [None])
-        assert scene.inner.calls == ["made", "paused", "resumed"]
-
-    check(test)
+@inside(check)
+async def test_held_bytes_of_a_closing_connection_are_passed_on_without_reading_more(scene: Scene) -> None:
+    scene.read(bytes(REQUEST_BYTES))
+    scene.transport.is_closed = True
+    await asyncio.sleep(0.001)
+    assert (len(scene.received), scene.transport.is_paused) == (REQUEST_BYTES, True)
 
 
-def test_abort_of_a_connection_closes_its_transport() -> None:
-    async def test(scene: Scene) -> None:
-        scene.connection.abort()
-        assert scene.transport.is_closed
-        ApiConnection("127.0.0.1").abort()  # not accepted yet: nothing to close
+@inside(check)
+async def test_refused_body_is_not_read(scene: Scene) -> None:
+    scene.read(b"POST")
+    scene.reading.refuse_body()
+    scene.read(b"body")
+    await asyncio.sleep(1.0)
+    assert (scene.received, scene.transport.is_paused) == (b"POST", True)
 
-    check(test)
+
+@inside(check)
+async def test_connection_waits_before_a_request_in_a_body_and_after_an_answer(scene: Scene) -> None:
+    overdue = scene.connections.overdue
+    scene.reading.begin_request()
+    assert overdue(1e6) == []
+    with scene.reading.receiving_body():
+        assert overdue(100.0 + IDLE_TIMEOUT_S - 0.1) == []
+        assert scene.connections._waiting
+    assert overdue(1e6) == []
+    scene.reading.end_request()
+    assert overdue(100.0 + IDLE_TIMEOUT_S) == [scene.connection]
+
+
+@inside(check)
+async def test_web_socket_message_is_passed_on_at_once_even_in_a_used_up_turn(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.fill_turn()
+    scene.read(bytes(SOCKET_BYTES))
+    assert (len(scene.received), len(scene.reads)) == (SOCKET_BYTES, 1)
+    assert (scene.reading.unread_bytes, scene.share.held_bytes) == (SOCKET_BYTES, 0)
+    scene.reading.leave_web_socket()
+    scene.reading.unread_bytes = 0
+    scene.read(b"x")
+    assert len(scene.reads) == 1
+
+
+@inside(check)
+async def test_large_web_socket_message_takes_room_until_it_is_given_back(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.read(bytes(LARGE_BYTES))
+    assert (scene.reading.has_room, scene.share.held_bytes) == (False, 0)
+    scene.read(b"x")
+    room = min(scene.hub.config.api.max_message_bytes, scene.share.max_bytes)
+    assert (scene.reading.has_room, scene.share.held_bytes) == (True, room)
+    scene.read(b"x")
+    assert scene.share.held_bytes == room
+    scene.reading.give_room()
+    scene.reading.give_room()
+    assert (scene.reading.has_room, scene.share.held_bytes) == (False, 0)
+    await asyncio.sleep(2 * TIMEOUT_S)
+    assert not scene.transport.is_closed
+
+
+@inside(check)
+async def test_large_web_socket_message_that_does_not_end_is_aborted_after_the_timeout(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.read(bytes(LARGE_BYTES))
+    scene.read(b"x")
+    await asyncio.sleep(TIMEOUT_S - 0.1)
+    assert not scene.transport.is_closed
+    await asyncio.sleep(0.2)
+    assert (scene.transport.is_closed, scene.share.held_bytes) == (True, 0)
+
+
+@inside(check)
+async def test_large_web_socket_message_waits_until_the_budget_has_room(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.share.add(scene.share.max_bytes)
+    scene.read(bytes(LARGE_BYTES))
+    scene.read(b"rest")
+    assert (len(scene.received), scene.transport.is_paused) == (LARGE_BYTES, True)
+    scene.share.give(1)
+    assert (len(scene.received), scene.transport.is_paused) == (LARGE_BYTES, True)
+    await asyncio.sleep(5.0)
+    scene.share.give(scene.share.held_bytes)
+    assert (scene.received[LARGE_BYTES:], scene.transport.is_paused) == (b"rest", False)
+    assert (scene.reading.unread_bytes, scene.reading.has_room) == (LARGE_BYTES + 4, True)
+    scene.read(b"after")
+    assert scene.reading.came_s == 100.0  # it may have waited in the socket as long
+
+
+@inside(check)
+async def test_lost_web_socket_that_waits_for_room_takes_none(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.share.add(scene.share.max_bytes)
+    scene.read(bytes(LARGE_BYTES))
+    scene.read(b"rest")
+    scene.reading.connection_lost(None)
+    scene.share.give(scene.share.max_bytes)
+    assert (scene.share.held_bytes, len(scene.received)) == (0, LARGE_BYTES)
+
+
+@inside(check)
+async def test_pings_do_not_count_as_bytes_of_a_message(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.read(bytes(CONTROL_FRAME_BYTES + 4))
+    scene.reading.receive_control(4)
+    assert scene.reading.unread_bytes == 0
+    scene.reading.receive_control(4)
+    assert scene.reading.unread_bytes == 0
+    scene.read(bytes(100))
+    scene.reading.receive_control(4)
+    assert scene.reading.unread_bytes == 100 - 4 - CONTROL_FRAME_BYTES
+
+
+@inside(check)
+async def test_writing_that_may_continue_calls_the_web_socket(scene: Scene) -> None:
+    writable: list[None] = []
+    scene.reading.become_web_socket(on_read=lambda: None, on_writable=lambda: writable.append(None))
+    scene.reading.pause_writing()
+    assert (scene.reading.is_writing_paused, writable) == (True, [])
+    scene.reading.resume_writing()
+    assert (scene.reading.is_writing_paused, writable) == (False, [None])
+    assert scene.inner.calls == ["made", "paused", "resumed"]
+
+
+@inside(check)
+async def test_abort_of_a_connection_closes_its_transport(scene: Scene) -> None:
+    scene.connection.abort()
+    assert scene.transport.is_closed
+    ApiConnection("127.0.0.1").abort()  # not accepted yet: nothing to close

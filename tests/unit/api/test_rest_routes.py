@@ -2,9 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,18 +11,10 @@ from hostlink.recording.drives import Drive
 from tests.support.api_memory import Answer, ApiMemory, api_memory
 from tests.support.participants import ROBOT
 from tests.support.rest_memory import RestMemory, rest_memory
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, within
 from tests.support.waiting import expect
 
 S = 1_000_000_000
-
-
-def check(test: Callable[[RestMemory], Awaitable[None]], drives: Any = None) -> None:
-    async def run() -> None:
-        async with rest_memory(drives=drives) as api:
-            await test(api)
-
-    run_virtual(run())
 
 
 def drive(robot: str, *, ended_s: float = 12.5, seconds: float | None = 2.0) -> Drive:
@@ -61,7 +51,7 @@ def test_drive_has_its_times_in_utc_and_rounded_figures() -> None:
         await api.call("GET", "/api/drives?robot=b&limit=999999")
         assert drives.asked == [(None, None), ("b", 999999)]
 
-    check(test, drives)
+    within(rest_memory, drives=drives)(test)()
 
 
 @pytest.mark.parametrize("limit", ["", "-1", "1.5", "many", "1000000", "\u0661"])
@@ -72,7 +62,7 @@ def test_limit_other_than_a_number_is_refused(limit: str) -> None:
         status, body = await api.call("GET", f"/api/drives?limit={limit}")
         assert (status, body["error"]["kind"], drives.asked) == (400, "BadRequest", [])
 
-    check(test, drives)
+    within(rest_memory, drives=drives)(test)()
 
 
 async def test_reload_answers_what_has_changed_and_why_it_is_refused() -> None:
@@ -92,25 +82,21 @@ async def test_reload_without_a_file_is_a_conflict() -> None:
         assert (status, body["error"]["kind"]) == (409, "ReloadRefused")
 
 
-def test_listening_is_empty_before_any_port_is_open() -> None:
-    async def test(api: RestMemory) -> None:
-        status, body = await api.call("GET", "/api/listening")
-        assert (status, body["tcp"], body["udp"], body["serial"]) == (200, None, None, [])
-
-    check(test)
+@within(rest_memory)
+async def test_listening_is_empty_before_any_port_is_open(api: RestMemory) -> None:
+    status, body = await api.call("GET", "/api/listening")
+    assert (status, body["tcp"], body["udp"], body["serial"]) == (200, None, None, [])
 
 
-def test_standstill_is_measured_without_stopping() -> None:
-    async def test(api: RestMemory) -> None:
-        await api.call("PUT", f"/api/robots/{ROBOT}/velocity", {"linear": 0.2, "angular": 0.0})
-        epoch = api.hub.robots.find(ROBOT).admission.epoch
-        status, one = await api.call("GET", f"/api/robots/{ROBOT}/standstill?wait_s=0.1")
-        assert (status, one["standstill"]["state"]) == (200, "unknown")
-        status, all_ = await api.call("GET", "/api/standstill?wait_s=0.1")
-        assert (status, [each["name"] for each in all_["robots"]]) == (200, [ROBOT])
-        assert api.hub.robots.find(ROBOT).admission.epoch == epoch
-
-    check(test)
+@within(rest_memory)
+async def test_standstill_is_measured_without_stopping(api: RestMemory) -> None:
+    await api.call("PUT", f"/api/robots/{ROBOT}/velocity", {"linear": 0.2, "angular": 0.0})
+    epoch = api.hub.robots.find(ROBOT).admission.epoch
+    status, one = await api.call("GET", f"/api/robots/{ROBOT}/standstill?wait_s=0.1")
+    assert (status, one["standstill"]["state"]) == (200, "unknown")
+    status, all_ = await api.call("GET", "/api/standstill?wait_s=0.1")
+    assert (status, [each["name"] for each in all_["robots"]]) == (200, [ROBOT])
+    assert api.hub.robots.find(ROBOT).admission.epoch == epoch
 
 
 def test_history_of_the_fleet_has_commands_of_the_chosen_robot_alone(tmp_path: Path) -> None:

@@ -54,14 +54,6 @@ async def test_topic_is_echoed_in_the_spelling_of_the_client() -> None:
         assert [frame["topic"] for frame in listener.received()] == spellings
 
 
-async def test_client_receives_its_own_messages_if_subscribed() -> None:
-    async with world() as here:
-        peer = here.client()
-        peer.send(op="subscribe", **CHAT)
-        peer.send(op="publish", topic="chat", msg={"data": "me"})
-        assert messages(peer.received()) == [{"data": "me"}]
-
-
 async def test_topic_is_advertised_until_its_last_id_is_withdrawn() -> None:
     async with world() as here:
         peer = here.client()

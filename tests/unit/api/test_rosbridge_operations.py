@@ -4,8 +4,6 @@ import asyncio
 import base64
 import json
 import struct
-from collections.abc import Awaitable, Callable
-from pathlib import Path
 from typing import Any
 
 import cbor2
@@ -18,11 +16,11 @@ from hostlink.hub.robot import AnyRobot
 from hostlink.hub.robots import Robots
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
-from tests.support.api_memory import ApiMemory, ApiPeer, api_memory
+from tests.support.api_memory import ApiMemory, ApiPeer, api_in_memory
 from tests.support.participants import VELOCITY_ID
 from tests.support.remote_robots import connected_robot
 from tests.support.rosbridge_memory import Peer, world
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import within
 
 CHAT = {"topic": "/chat", "type": "std_msgs/String"}
 VELOCITY = "/robot_0/velocity_commands"
@@ -207,20 +205,6 @@ async def test_message_with_too_many_parts_with_times_is_refused() -> None:
 # -- with a robot -----------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def check(tmp_path: Path) -> Callable[[Callable[[ApiMemory], Awaitable[None]]], None]:
-    """Run a test with an API server and a robot in virtual time."""
-
-    def run(test: Callable[[ApiMemory], Awaitable[None]]) -> None:
-        async def run_test() -> None:
-            async with api_memory(tmp_path) as api:
-                await test(api)
-
-        run_virtual(run_test())
-
-    return run
-
-
 async def ask(peer: ApiPeer, **fields: Any) -> Any:
     """Send one operation and return its only answer."""
     peer.send_text(**fields)
@@ -229,17 +213,15 @@ async def ask(peer: ApiPeer, **fields: Any) -> Any:
     return answer
 
 
-def test_drive_is_answered_with_link_epoch_and_client(check: Callable[..., None]) -> None:
-    async def test(api: ApiMemory) -> None:
-        peer, robot = await api.web_socket(), api.hub.robots.find("robot_0")
-        answer = await ask(peer, op="drive", id="1", robot="robot_0", linear=0.2, angular=0.5, linear_y=0.0)
-        assert (answer["op"], answer["id"], answer["result"], answer["link"]) == ("drive_result", "1", True, 1)
-        assert (answer["stops"], answer["epoch"]) == (robot.admission.epoch, robot.admission.epoch)
-        assert answer["velocity"] == {"linear_m_s": 0.2, "linear_y_m_s": 0.0, "angular_rad_s": 0.5}
-        assert answer["client"].startswith("client ")
-        assert struct.unpack("<6d", api.device.payloads(VELOCITY_ID)[-1]) == (0.2, 0.0, 0.0, 0.0, 0.0, 0.5)
-
-    check(test)
+@within(api_in_memory)
+async def test_drive_is_answered_with_link_epoch_and_client(api: ApiMemory) -> None:
+    peer, robot = await api.web_socket(), api.hub.robots.find("robot_0")
+    answer = await ask(peer, op="drive", id="1", robot="robot_0", linear=0.2, angular=0.5, linear_y=0.0)
+    assert (answer["op"], answer["id"], answer["result"], answer["link"]) == ("drive_result", "1", True, 1)
+    assert (answer["stops"], answer["epoch"]) == (robot.admission.epoch, robot.admission.epoch)
+    assert answer["velocity"] == {"linear_m_s": 0.2, "linear_y_m_s": 0.0, "angular_rad_s": 0.5}
+    assert answer["client"].startswith("client ")
+    assert struct.unpack("<6d", api.device.payloads(VELOCITY_ID)[-1]) == (0.2, 0.0, 0.0, 0.0, 0.0, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -252,63 +234,53 @@ def test_drive_is_answered_with_link_epoch_and_client(check: Callable[..., None]
         ({"linear": 0, "angular": 0, "robot": "robot_9"}, "robot_9"),
     ],
 )
-def test_drive_with_an_invalid_field_is_refused(
-    check: Callable[..., None], fields: dict[str, Any], reason: str
-) -> None:
-    async def test(api: ApiMemory) -> None:
-        peer = await api.web_socket()
-        answer = await ask(peer, **({"op": "drive", "id": 7, "robot": "robot_0"} | fields))
-        assert (answer["result"], answer["id"]) == (False, 7)
-        assert reason in answer["reason"]
-
-    check(test)
+@within(api_in_memory)
+async def test_drive_with_an_invalid_field_is_refused(api: ApiMemory, fields: dict[str, Any], reason: str) -> None:
+    peer = await api.web_socket()
+    answer = await ask(peer, **({"op": "drive", "id": 7, "robot": "robot_0"} | fields))
+    assert (answer["result"], answer["id"]) == (False, 7)
+    assert reason in answer["reason"]
 
 
-def test_drive_of_a_locked_or_driven_robot_is_refused_with_epoch_and_holder(check: Callable[..., None]) -> None:
-    async def test(api: ApiMemory) -> None:
-        first, second = await api.web_socket(), await api.web_socket()
-        velocity = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
-        driven = await ask(first, **velocity, priority=60)
-        answer = await ask(second, **velocity, priority=50)
-        assert (answer["kind"], answer["holder"]) == ("held", driven["client"])
-        robot = api.hub.robots.find("robot_0")
-        robot.lock("test")
-        answer = await ask(second, **velocity)
-        assert (answer["kind"], answer["holder"], answer["epoch"]) == ("locked", None, robot.admission.epoch)
-
-    check(test)
+@within(api_in_memory)
+async def test_drive_of_a_locked_or_driven_robot_is_refused_with_epoch_and_holder(api: ApiMemory) -> None:
+    first, second = await api.web_socket(), await api.web_socket()
+    velocity = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
+    driven = await ask(first, **velocity, priority=60)
+    answer = await ask(second, **velocity, priority=50)
+    assert (answer["kind"], answer["holder"]) == ("held", driven["client"])
+    robot = api.hub.robots.find("robot_0")
+    robot.lock("test")
+    answer = await ask(second, **velocity)
+    assert (answer["kind"], answer["holder"], answer["epoch"]) == ("locked", None, robot.admission.epoch)
 
 
 @pytest.mark.parametrize(("link", "is_moved"), [(0, False), (1, True), (2, False)])
-def test_drive_for_another_connection_of_the_device_has_an_earlier_epoch(
-    check: Callable[..., None], link: int, is_moved: bool
+@within(api_in_memory)
+async def test_drive_for_another_connection_of_the_device_has_an_earlier_epoch(
+    api: ApiMemory, link: int, is_moved: bool
 ) -> None:
-    async def test(api: ApiMemory) -> None:
-        peer, robot = await api.web_socket(), api.hub.robots.find("robot_0")
-        answer = await ask(
-            peer, op="drive", robot="robot_0", linear=0.1, angular=0.0, link=link, epoch=robot.admission.epoch
-        )
-        assert answer["result"] is is_moved
-
-    check(test)
+    peer, robot = await api.web_socket(), api.hub.robots.find("robot_0")
+    answer = await ask(
+        peer, op="drive", robot="robot_0", linear=0.1, angular=0.0, link=link, epoch=robot.admission.epoch
+    )
+    assert answer["result"] is is_moved
 
 
 @pytest.mark.parametrize("motion", [{"epoch": -1}, {"stops": -1}, {"link": 0}])
-def test_drive_that_waits_behind_one_of_another_epoch_continues_its_motion(
-    check: Callable[..., None], motion: dict[str, int]
+@within(api_in_memory)
+async def test_drive_that_waits_behind_one_of_another_epoch_continues_its_motion(
+    api: ApiMemory, motion: dict[str, int]
 ) -> None:
-    async def test(api: ApiMemory) -> None:
-        peer, robot = await api.web_socket(), api.hub.robots.find("robot_0")
-        velocity = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
-        peer.send_text(**velocity, **motion)  # the daemon executes nothing before all of them wait
-        peer.send_text(**velocity)
-        peer.send_text(**velocity)
-        await asyncio.sleep(0.05)
-        answers = peer.texts()
-        assert [each["kind"] for each in answers] == ["disarmed"] * 3
-        assert robot.gate.owner is None
-
-    check(test)
+    peer, robot = await api.web_socket(), api.hub.robots.find("robot_0")
+    velocity = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
+    peer.send_text(**velocity, **motion)  # the daemon executes nothing before all of them wait
+    peer.send_text(**velocity)
+    peer.send_text(**velocity)
+    await asyncio.sleep(0.05)
+    answers = peer.texts()
+    assert [each["kind"] for each in answers] == ["disarmed"] * 3
+    assert robot.gate.owner is None
 
 
 class LeavingHosts:
@@ -326,75 +298,67 @@ class LeavingHosts:
         raise CommandRefused(robot.name, RefusalKind.HELD, "another drives it")
 
 
-def test_drive_is_answered_also_when_its_robot_is_forgotten_before_its_refusal(check: Callable[..., None]) -> None:
-    async def test(api: ApiMemory) -> None:
-        peer = await api.web_socket()
-        robot = connected_robot(api.hub, "robot_7", LeavingHosts(api.hub.robots))
-        answer = await ask(peer, op="drive", robot="robot_7", linear=0.1, angular=0.0)
-        assert (answer["kind"], answer["epoch"]) == ("held", robot.admission.epoch)
-        assert (await ask(peer, op="drive", robot="robot_0", linear=0.1, angular=0.0))["result"]
-
-    check(test)
+@within(api_in_memory)
+async def test_drive_is_answered_also_when_its_robot_is_forgotten_before_its_refusal(api: ApiMemory) -> None:
+    peer = await api.web_socket()
+    robot = connected_robot(api.hub, "robot_7", LeavingHosts(api.hub.robots))
+    answer = await ask(peer, op="drive", robot="robot_7", linear=0.1, angular=0.0)
+    assert (answer["kind"], answer["epoch"]) == ("held", robot.admission.epoch)
+    assert (await ask(peer, op="drive", robot="robot_0", linear=0.1, angular=0.0))["result"]
 
 
-def test_client_without_a_level_hears_of_refused_velocities_at_a_limited_rate(check: Callable[..., None]) -> None:
-    async def test(api: ApiMemory) -> None:
-        peer = await api.web_socket()
-        api.hub.robots.find("robot_0").lock("test")
-        for _ in range(3):
-            peer.send_text(op="publish", topic=VELOCITY, msg={"linear": {"x": 0.1}})
-            await asyncio.sleep(0.01)
-        peer.send_text(op="publish", topic="/none", msg={})
-        await asyncio.sleep(0.05)
-        (status,) = peer.texts()
-        assert (status["op"], status["level"], status["kind"]) == ("status", "error", "locked")
-
-    check(test)
+@within(api_in_memory)
+async def test_client_without_a_level_hears_of_refused_velocities_at_a_limited_rate(api: ApiMemory) -> None:
+    peer = await api.web_socket()
+    api.hub.robots.find("robot_0").lock("test")
+    for _ in range(3):
+        peer.send_text(op="publish", topic=VELOCITY, msg={"linear": {"x": 0.1}})
+        await asyncio.sleep(0.01)
+    peer.send_text(op="publish", topic="/none", msg={})
+    await asyncio.sleep(0.05)
+    (status,) = peer.texts()
+    assert (status["op"], status["level"], status["kind"]) == ("status", "error", "locked")
 
 
-def test_watched_graph_is_sent_at_once_and_after_each_change(check: Callable[..., None]) -> None:
-    async def test(api: ApiMemory) -> None:
-        peer = await api.web_socket()
-        peer.send_text(op="watch_graph")
-        await asyncio.sleep(0.1)
-        (graph,) = peer.texts()
-        (robot,) = graph["robots"]
-        assert (robot["name"], robot["link"]) == ("robot_0", 1)
-        assert robot["velocity_topics"] == {
-            VELOCITY: "geometry_msgs/Twist",
-            "/robot_0/cmd_vel": "geometry_msgs/Twist",
-            "/robot_0/cmd_vel_stamped": "geometry_msgs/TwistStamped",
-        }
-        topics = {topic["name"]: topic for topic in graph["topics"]}
-        assert topics[VELOCITY] == {
-            "name": VELOCITY, "type": "geometry_msgs/Twist", "published": False, "subscribed": True,
-            "latched": False, "velocity": True,
-        }  # fmt: skip
-        assert (topics["/robot_0/odometry"]["published"], topics["/robot_0/odometry"]["velocity"]) == (True, False)
-        assert {"name": "/robot_0/lock", "type": "std_srvs/Trigger"} in graph["services"]
-        await asyncio.sleep(1.0)
-        assert peer.texts() == []
-        other = api.hub.join("program")
-        other.advertise("/door", "std_msgs/Bool", is_latched=True)
-        await asyncio.sleep(0.1)
-        (graph,) = peer.texts()
-        (door,) = (topic for topic in graph["topics"] if topic["name"] == "/door")
-        assert (door["published"], door["latched"], door["subscribed"]) == (True, True, False)
-        await api.device.aclose()
-        await asyncio.sleep(1.0)
-        assert peer.texts()[-1]["robots"][0]["link"] is None
-
-    check(test)
+@within(api_in_memory)
+async def test_watched_graph_is_sent_at_once_and_after_each_change(api: ApiMemory) -> None:
+    peer = await api.web_socket()
+    peer.send_text(op="watch_graph")
+    await asyncio.sleep(0.1)
+    (graph,) = peer.texts()
+    (robot,) = graph["robots"]
+    assert (robot["name"], robot["link"]) == ("robot_0", 1)
+    assert robot["velocity_topics"] == {
+        VELOCITY: "geometry_msgs/Twist",
+        "/robot_0/cmd_vel": "geometry_msgs/Twist",
+        "/robot_0/cmd_vel_stamped": "geometry_msgs/TwistStamped",
+    }
+    topics = {topic["name"]: topic for topic in graph["topics"]}
+    assert topics[VELOCITY] == {
+        "name": VELOCITY, "type": "geometry_msgs/Twist", "published": False, "subscribed": True,
+        "latched": False, "velocity": True,
+    }  # fmt: skip
+    assert (topics["/robot_0/odometry"]["published"], topics["/robot_0/odometry"]["velocity"]) == (True, False)
+    assert {"name": "/robot_0/lock", "type": "std_srvs/Trigger"} in graph["services"]
+    await asyncio.sleep(1.0)
+    assert peer.texts() == []
+    other = api.hub.join("program")
+    other.advertise("/door", "std_msgs/Bool", is_latched=True)
+    await asyncio.sleep(0.1)
+    (graph,) = peer.texts()
+    (door,) = (topic for topic in graph["topics"] if topic["name"] == "/door")
+    assert (door["published"], door["latched"], door["subscribed"]) == (True, True, False)
+    await api.device.aclose()
+    await asyncio.sleep(1.0)
+    assert peer.texts()[-1]["robots"][0]["link"] is None
 
 
-def test_fragments_of_a_velocity_are_executed_as_one_message(check: Callable[..., None]) -> None:
-    async def test(api: ApiMemory) -> None:
-        peer = await api.web_socket()
-        text = json.dumps({"op": "drive", "id": "1", "robot": "robot_0", "linear": 0.2, "angular": 0.0})
-        for number, piece in enumerate((text[:20], text[20:])):
-            peer.send_text(op="fragment", id="f", num=number, total=2, data=piece)
-        await asyncio.sleep(0.05)
-        (answer,) = peer.texts()
-        assert (answer["id"], answer["result"]) == ("1", True)
-
-    check(test)
+@within(api_in_memory)
+async def test_fragments_of_a_velocity_are_executed_as_one_message(api: ApiMemory) -> None:
+    peer = await api.web_socket()
+    text = json.dumps({"op": "drive", "id": "1", "robot": "robot_0", "linear": 0.2, "angular": 0.0})
+    for number, piece in enumerate((text[:20], text[20:])):
+        peer.send_text(op="fragment", id="f", num=number, total=2, data=piece)
+    await asyncio.sleep(0.05)
+    (answer,) = peer.texts()
+    assert (answer["id"], answer["result"]) == ("1", True)

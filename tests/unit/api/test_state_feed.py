@@ -20,7 +20,7 @@ from hostlink.recording.recordings import Recordings
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, virtual
 
 
 def with_feed(test: Callable[[Hub, StateFeed], Awaitable[None]]) -> None:
@@ -247,21 +247,19 @@ def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
         run_virtual(run())
 
 
-def test_streams_end_with_the_hub() -> None:
-    async def run() -> None:
-        hub = Hub(Config(), CATALOG, reraises=True)
-        recordings = Recordings(hub)
-        feed = StateFeed(hub, Clients(8, max_per_address=8), recordings)
-        reader = Reader(feed)
-        async with asyncio.TaskGroup() as tasks:
-            running = tasks.create_task(hub.run())
-            await hub.is_running.wait()
-            with feed.reading(reader):
-                await asyncio.sleep(0.05)
-                reader.news.clear()
-                running.cancel()
-                await reader.news.wait()
-                assert not feed.is_running
-        await recordings.aclose()
-
-    run_virtual(run())
+@virtual
+async def test_streams_end_with_the_hub() -> None:
+    hub = Hub(Config(), CATALOG, reraises=True)
+    recordings = Recordings(hub)
+    feed = StateFeed(hub, Clients(8, max_per_address=8), recordings)
+    reader = Reader(feed)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(hub.run())
+        await hub.is_running.wait()
+        with feed.reading(reader):
+            await asyncio.sleep(0.05)
+            reader.news.clear()
+            running.cancel()
+            await reader.news.wait()
+            assert not feed.is_running
+    await recordings.aclose()

@@ -1,13 +1,11 @@
 """TypeDefs like those of rosbridge, which reads them from the classes that ROS generates."""
 
 from hostlink.api.rosapi import describe
-from tests.support.fake_device import CATALOG
+from tests.support.fake_device import message_type
 
 
 def described(name: str) -> list[dict[str, object]]:
-    type_ = CATALOG.message(name)
-    assert type_ is not None
-    return describe(type_)
+    return describe(message_type(name))
 
 
 def test_typedefs_list_root_first_then_each_type_once() -> None:

@@ -7,6 +7,7 @@ import pytest
 from hostlink.board.headers import message_header, service_header
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
+from tests.support.fake_device import message_type, service_type
 
 CATALOG = Catalog()
 
@@ -25,8 +26,7 @@ def header(tmp_path: Path, text: str) -> str:
 
 
 def test_fixed_message_has_its_type_md5_and_size() -> None:
-    message = CATALOG.message("geometry_msgs/Twist")
-    assert message is not None
+    message = message_type("geometry_msgs/Twist")
     text = message_header(message)
     assert '#include "geometry_msgs/Vector3.h"' in text
     assert "  ::geometry_msgs::Vector3 linear;\n  ::geometry_msgs::Vector3 angular;\n" in text
@@ -36,8 +36,7 @@ def test_fixed_message_has_its_type_md5_and_size() -> None:
 
 
 def test_service_has_classes_for_request_and_response_under_both_names() -> None:
-    service = CATALOG.service("std_srvs/SetBool")
-    assert service is not None
+    service = service_type("std_srvs/SetBool")
     text = service_header(service)
     assert "class SetBoolRequest : public ::ros::Msg {" in text
     assert "class SetBoolResponse : public ::ros::Msg {" in text

@@ -19,7 +19,7 @@ from tests.support.fake_device import robot_topics
 from tests.support.participants import ODOMETRY_ID, POSE
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.simulated import simulated_in_memory
-from tests.support.virtual_loop import in_virtual_time
+from tests.support.virtual_loop import virtual
 from tests.support.waiting import expect
 
 PERIOD_S = 0.05
@@ -50,7 +50,7 @@ async def send_pose(device: ScriptedDevice, x_m: float) -> None:
     await device.send(ODOMETRY_ID, POSE.pack(x_m, 0.0, 0.0))
 
 
-@in_virtual_time
+@virtual
 async def test_course_ends_where_it_should_and_the_robot_stands(patch: pytest.MonkeyPatch) -> None:
     async with with_robot() as (here, robot):
         path = await follow(drives_of(here, patch), straight(0.2))
@@ -60,7 +60,7 @@ async def test_course_ends_where_it_should_and_the_robot_stands(patch: pytest.Mo
         assert abs(robot.speed_m_s) < 0.01
 
 
-@in_virtual_time
+@virtual
 async def test_lock_ends_the_course(patch: pytest.MonkeyPatch) -> None:
     async with with_robot() as (here, _):
         driving = here.tasks.create_task(refused(follow(drives_of(here, patch))))
@@ -72,7 +72,7 @@ async def test_lock_ends_the_course(patch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("last_m", "reason"), [(0.0, "no odometry arrived for 0.4 s"), (5.0, "the odometry jumped")])
-@in_virtual_time
+@virtual
 async def test_robot_that_falls_silent_or_jumps_is_stopped(
     last_m: float, reason: str, patch: pytest.MonkeyPatch
 ) -> None:
@@ -88,7 +88,7 @@ async def test_robot_that_falls_silent_or_jumps_is_stopped(
         assert reason in await driving
 
 
-@in_virtual_time
+@virtual
 async def test_robot_whose_odometry_stands_is_stopped(patch: pytest.MonkeyPatch) -> None:
     async with bench() as here:
         device = await here.device(robot_topics())
@@ -103,7 +103,7 @@ async def test_robot_whose_odometry_stands_is_stopped(patch: pytest.MonkeyPatch)
         assert here.robot.gate.owner_name is None
 
 
-@in_virtual_time
+@virtual
 async def test_driver_that_takes_the_robot_over_keeps_it(patch: pytest.MonkeyPatch) -> None:
     async with with_robot() as (here, _):
         person = here.other.robot("robot_0", priority=60)
@@ -117,7 +117,7 @@ async def test_driver_that_takes_the_robot_over_keeps_it(patch: pytest.MonkeyPat
         assert person.is_driven
 
 
-@in_virtual_time
+@virtual
 async def test_robot_that_another_drives_or_that_is_not_there_is_not_driven(patch: pytest.MonkeyPatch) -> None:
     """A driver of lower priority would drive on while a person measures."""
     async with with_robot() as (here, _):
@@ -134,7 +134,7 @@ def answered(here: Bench) -> list[str]:
     return [name for device in here.hub.robots.devices.values() for name in device.parameters]
 
 
-@in_virtual_time
+@virtual
 async def test_numbers_of_the_robot_are_the_parameters_with_which_it_connected(patch: pytest.MonkeyPatch) -> None:
     parameters: dict[str, ParameterValue] = {
         "/robot_0/wheel_radius": [0.03, 0.031],
@@ -156,7 +156,7 @@ async def test_numbers_of_the_robot_are_the_parameters_with_which_it_connected(p
 
 
 @pytest.mark.parametrize("value", ['"wide"', "[0.0]", "0.2"])
-@in_virtual_time
+@virtual
 async def test_parameter_of_any_kind_that_came_after_the_connection_is_found(
     value: str, patch: pytest.MonkeyPatch
 ) -> None:
@@ -169,7 +169,7 @@ async def test_parameter_of_any_kind_that_came_after_the_connection_is_found(
 
 
 @pytest.mark.parametrize("setting_m", [0.33, None])
-@in_virtual_time
+@virtual
 async def test_robot_without_parameters_has_its_setting_else_the_papers_numbers(
     setting_m: float | None, patch: pytest.MonkeyPatch
 ) -> None:

@@ -65,7 +65,6 @@ def test_wrong_udp_setting_in_the_file_is_named(tmp_path: Path, settings: str, p
 )
 def test_the_flag_names_a_port_or_an_address(text: str, address: tuple[str, int]) -> None:
     udp = merge(Config(), udp=text).udp
-    assert udp is not None
     assert (udp.host, udp.port) == address
 
 
@@ -84,7 +83,6 @@ def test_udp_option_that_is_not_an_address_is_refused(text: str) -> None:
 def test_sessions_have_their_share_of_the_descriptors(descriptors: int) -> None:
     config = Config(udp=UdpConfig())
     fits = fitted(config, descriptors)
-    assert fits.udp is not None
     devices = fits.tcp.max_connections + fits.udp.max_connections
     assert devices + fits.api.max_connections <= descriptors
     assert fits.tcp.max_connections >= 1

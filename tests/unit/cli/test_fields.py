@@ -1,14 +1,15 @@
-"""Fields of a message as a person writes and reads them."""
+"""Fields of a message as a person writes and reads them, and what `hostlink info` is given: a name or a file."""
 
 import csv
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.topics import csv_line, field_of, flat, readable
+from hostlink.cli.topics import csv_line, field_of, flat, is_recording, readable
 from hostlink.errors import HostlinkError
 
 MESSAGE = {"header": {"stamp": {"secs": 5}}, "ranges": [0.5, 1.5], "legs": [{"x": 1}, {"x": 2}], "name": "a"}
@@ -65,3 +66,14 @@ def test_numbers_have_the_digits_of_a_person() -> None:
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_no_number_is_changed_by_more_than_its_last_digit(value: float) -> None:
     assert math.isclose(readable(value), value, rel_tol=1e-5, abs_tol=0)
+
+
+@pytest.mark.parametrize("name", ["/robot_0/odometry", "robot_0", "x" * 5000, "/" + "x" * 5000, "a\0b"])
+def test_name_without_a_file_is_a_name_of_the_graph(name: str) -> None:
+    assert not is_recording(name)
+
+
+def test_file_of_any_name_is_a_recording(tmp_path: Path) -> None:
+    (tmp_path / "run").touch()
+    assert is_recording(str(tmp_path / "run"))
+    assert is_recording("no/such/file.mcap")

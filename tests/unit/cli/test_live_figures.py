@@ -36,7 +36,6 @@ def test_the_first_figures_come_with_the_second_sample() -> None:
     assert live.update(robots(), 0.0) is None
     assert live.update(links(0), 0.01) is None
     first = live.update(links(20), 1.01)
-    assert first is not None
     assert first["links"][0]["frames_from_device_s"] == 20.0
     assert first["links"][0]["robots"] == ["robot_0"]
 

@@ -92,12 +92,6 @@ def test_every_command_is_in_the_document_of_commands() -> None:
     assert [name for name in COMMANDS if not re.search(rf"`(?:hostlink )?{name}\b", text)] == []
 
 
-def test_no_document_names_a_command_that_does_not_exist() -> None:
-    named = {name for path in DOCUMENTS.glob("*.md") for name in NAMED.findall(path.read_text())}
-    assert len(named) > 15
-    assert named - set(COMMANDS) == {"topic", "rostopic"}  # of ROS: documents name them as such
-
-
 QUICK = (
     "robots",
     "teleop",

@@ -17,7 +17,7 @@ from tests.support.fake_device import robot_topics
 from tests.support.memory_hub import velocities
 from tests.support.recorded import COMMANDS, FORWARD, ODOMETRY, PLAYBACK, POSE, channel, recording
 from tests.support.scripted_device import ScriptedDevice
-from tests.support.virtual_loop import in_virtual_time
+from tests.support.virtual_loop import virtual
 
 STILL, MOVING = (0.0, 0.0), (FORWARD.x_m_s, 0.0)
 STEADY = [(0.1 * number, COMMANDS, FORWARD.encode()) for number in range(100)]
@@ -38,7 +38,7 @@ async def drive(file: Path) -> None:
     await play.drive_robot("memory", None, file, PLAYBACK, "robot_0", [])
 
 
-@in_virtual_time
+@virtual
 async def test_velocity_that_nothing_follows_holds_for_a_lease(tmp_path: Path) -> None:
     """The recorded link was lost while its robot moved: there is no zero, and a minute of others' messages."""
     others = [(0.1 * number, ODOMETRY, POSE) for number in range(600)]
@@ -53,7 +53,7 @@ async def test_velocity_that_nothing_follows_holds_for_a_lease(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("way", ["stop", "lock"])
-@in_virtual_time
+@virtual
 async def test_stop_of_a_driven_robot_ends_the_play(tmp_path: Path, way: str) -> None:
     async with robot() as (here, device):
         playing = here.tasks.create_task(refused(drive(recording(tmp_path, STEADY))))
@@ -69,7 +69,7 @@ async def test_stop_of_a_driven_robot_ends_the_play(tmp_path: Path, way: str) ->
         assert set(velocities(device)[before - 1 :]) == {STILL}
 
 
-@in_virtual_time
+@virtual
 async def test_invalid_velocity_ends_the_play_with_one_line(tmp_path: Path) -> None:
     file = recording(tmp_path, [(0.0, COMMANDS, FORWARD.encode()), (0.1, COMMANDS, b"no twist")])
     async with robot() as (here, _):
@@ -77,14 +77,14 @@ async def test_invalid_velocity_ends_the_play_with_one_line(tmp_path: Path) -> N
         assert here.robot.gate.current.is_zero
 
 
-@in_virtual_time
+@virtual
 async def test_text_that_is_said_to_be_a_velocity_drives_nothing(tmp_path: Path) -> None:
     text = channel("/robot_0/velocity_commands", "std_msgs/String", VELOCITY)
     async with robot():
         assert "no velocities of any robot" in await refused(drive(recording(tmp_path, [(0.0, text, bytes(48))])))
 
 
-@in_virtual_time
+@virtual
 async def test_unknown_robot_is_reported_before_the_recording_is_read(tmp_path: Path) -> None:
     async with robot("robot_7"):
         assert await refused(drive(tmp_path / "none.mcap")) == (
@@ -92,7 +92,7 @@ async def test_unknown_robot_is_reported_before_the_recording_is_read(tmp_path: 
         )
 
 
-@in_virtual_time
+@virtual
 async def test_robot_that_nothing_drove_is_named_as_the_cause(tmp_path: Path) -> None:
     announced = recording(tmp_path, [(0.0, ODOMETRY, POSE)], [COMMANDS])
     async with robot():
@@ -107,7 +107,7 @@ async def test_robot_that_nothing_drove_is_named_as_the_cause(tmp_path: Path) ->
             await play.play_devices(empty, PLAYBACK, ("127.0.0.1", 1), [])
 
 
-@in_virtual_time
+@virtual
 async def test_velocities_on_the_second_topic_of_a_robot_are_driven(tmp_path: Path) -> None:
     other = channel("/robot_0/a_silent_vel", "geometry_msgs/Twist", VELOCITY)
     async with robot() as (_, device):
@@ -116,7 +116,7 @@ async def test_velocities_on_the_second_topic_of_a_robot_are_driven(tmp_path: Pa
 
 
 @pytest.mark.parametrize("is_looped", [False, True])
-@in_virtual_time
+@virtual
 async def test_play_of_nothing_is_refused_and_a_loop_of_it_ends(tmp_path: Path, is_looped: bool) -> None:
     file = recording(tmp_path, [(0.0, COMMANDS, FORWARD.encode()), (2.0, ODOMETRY, POSE)])
     playback = play.Playback(rate=1.0, start_s=100.0, is_looped=is_looped, is_stepped=False)
@@ -143,7 +143,7 @@ TWIST = channel("/robot_0/cmd_vel", "geometry_msgs/Twist", "")
     ],
     ids=["before a robot", "of a device", "stamped", "of ROS 2", "no type"],
 )
-@in_virtual_time
+@virtual
 async def test_recorded_velocity_that_no_gate_sent_is_not_published(
     tmp_path: Path, recorded: play.Channel, payload: bytes
 ) -> None:

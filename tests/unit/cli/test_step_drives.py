@@ -41,7 +41,7 @@ from tests.support.memory_hub import velocities
 from tests.support.participants import ODOMETRY_ID, POSE
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.simulated import DisturbedRobot, simulated_in_memory
-from tests.support.virtual_loop import in_virtual_time
+from tests.support.virtual_loop import virtual
 from tests.support.waiting import expect
 
 SLOW = make_stage(0.04, 1.5, None, 0.21)  # 33 ticks/s: a set-point that is there after 0.6 s
@@ -73,7 +73,7 @@ async def stands(robot: DisturbedRobot) -> None:
 # -- a step -----------------------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
+@virtual
 async def test_a_step_is_recorded_from_a_standstill_and_ends_in_one() -> None:
     async with with_robot() as (here, robot):
         recording = await record(here.me)
@@ -91,7 +91,7 @@ async def test_a_step_is_recorded_from_a_standstill_and_ends_in_one() -> None:
         assert step_figures(each).steady_error_percent > -30
 
 
-@in_virtual_time
+@virtual
 async def test_one_wheel_alone_is_driven_and_recorded() -> None:
     async with with_robot() as (here, robot):
         recording = await record(here.me, [make_stage(-0.04, 1.5, Wheel.RIGHT, 0.21)], Wheel.RIGHT)
@@ -102,7 +102,7 @@ async def test_one_wheel_alone_is_driven_and_recorded() -> None:
     assert rolled_m[1] < -0.015
 
 
-@in_virtual_time
+@virtual
 async def test_driver_of_lower_priority_is_stopped_before_the_step_and_limits_are_noticed() -> None:
     async with with_robot(Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.03)})) as (here, _):
         await here.other.robot("robot_0", priority=0).drive(0.1, 0.0)
@@ -113,7 +113,7 @@ async def test_driver_of_lower_priority_is_stopped_before_the_step_and_limits_ar
     assert recording.accepted == (0.03, 0.0)
 
 
-@in_virtual_time
+@virtual
 async def test_driver_of_lower_priority_that_begins_meanwhile_does_not_disturb_the_step() -> None:
     """The demo is such a driver: it drives whenever the robot was idle for a while."""
     async with with_robot() as (here, _):
@@ -127,7 +127,7 @@ async def test_driver_of_lower_priority_that_begins_meanwhile_does_not_disturb_t
     assert recording.records["left"].target > 30
 
 
-@in_virtual_time
+@virtual
 async def test_a_cancelled_step_stops_the_robot_at_once() -> None:
     async with with_robot() as (here, robot):
         drive = here.tasks.create_task(record(here.me, [LONG]))
@@ -141,7 +141,7 @@ async def test_a_cancelled_step_stops_the_robot_at_once() -> None:
 # -- interruptions ----------------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
+@virtual
 async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> None:
     async with with_robot() as (here, _):
         step = stepping(here)
@@ -153,7 +153,7 @@ async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> No
         assert here.robot.gate.owner_name == "a person"
 
 
-@in_virtual_time
+@virtual
 async def test_a_program_that_begins_while_the_step_waits_keeps_the_robot() -> None:
     async with with_robot() as (here, _):
         step = here.tasks.create_task(refused(record(here.me)))
@@ -164,7 +164,7 @@ async def test_a_program_that_begins_while_the_step_waits_keeps_the_robot() -> N
         assert here.robot.gate.owner_name is not None
 
 
-@in_virtual_time
+@virtual
 async def test_an_emergency_stop_ends_the_step() -> None:
     async with with_robot() as (here, robot):
         step = stepping(here)
@@ -175,7 +175,7 @@ async def test_an_emergency_stop_ends_the_step() -> None:
         assert "locked: a cat" in await refused(record(here.me))
 
 
-@in_virtual_time
+@virtual
 async def test_a_robot_that_leaves_ends_the_step() -> None:
     async with bench() as here:
         async with simulated_in_memory(here.hub):
@@ -187,7 +187,7 @@ async def test_a_robot_that_leaves_ends_the_step() -> None:
             await free_robot(here.me, "robot_0", below=PRIORITY)
 
 
-@in_virtual_time
+@virtual
 async def test_plot_data_that_falls_silent_ends_the_step_within_a_second() -> None:
     async with with_robot() as (here, robot):
         step = stepping(here)
@@ -199,7 +199,7 @@ async def test_plot_data_that_falls_silent_ends_the_step_within_a_second() -> No
         await stands(robot)
 
 
-@in_virtual_time
+@virtual
 async def test_robot_that_is_driven_locked_or_unknown_is_refused() -> None:
     async with bench() as here:
         await here.device(robot_topics())
@@ -225,7 +225,7 @@ async def roll(device: ScriptedDevice) -> None:
         await device.send(ODOMETRY_ID, POSE.pack(x_m, 0.0, 0.0))
 
 
-@in_virtual_time
+@virtual
 async def test_a_robot_without_plot_data_is_measured_by_its_odometry() -> None:
     async with bench() as here, meanwhile(roll(await here.device(robot_topics()))):
         recording = await record(here.me, [make_stage(0.2, 2.0, None, 0.21)])
@@ -237,7 +237,7 @@ async def test_a_robot_without_plot_data_is_measured_by_its_odometry() -> None:
         identify_motor(robot)
 
 
-@in_virtual_time
+@virtual
 async def test_a_robot_that_sends_nothing_is_not_driven() -> None:
     async with bench() as here:
         device = await here.device([*robot_topics(), PLOT])
@@ -253,7 +253,7 @@ async def run_away(device: ScriptedDevice) -> None:
         await asyncio.sleep(0.1)
 
 
-@in_virtual_time
+@virtual
 async def test_a_robot_that_does_not_come_to_rest_is_not_driven() -> None:
     async with bench() as here:
         device = await here.device([*robot_topics(), PLOT])
@@ -276,7 +276,7 @@ def motor_record() -> Record:
     return Record("ticks/s", t_s, measured, measured, pwm)
 
 
-@in_virtual_time
+@virtual
 async def test_gains_are_sent_only_when_requested() -> None:
     records = {"left": motor_record(), "right": motor_record()}
     async with with_robot() as (here, robot):
@@ -296,7 +296,7 @@ async def test_gains_are_sent_only_when_requested() -> None:
     assert json.loads(json.dumps(tuning.view(records)))["wheels"]["right"]["samples"]["unit"] == "ticks/s"
 
 
-@in_virtual_time
+@virtual
 async def test_a_robot_that_accepts_no_gains_is_named() -> None:
     async with bench() as here:
         await here.device([*robot_topics(), PLOT])
@@ -306,7 +306,7 @@ async def test_a_robot_that_accepts_no_gains_is_named() -> None:
             await tune_motors(here.me, "robot_0", {"left": motor_record()}, sends=True)
 
 
-@in_virtual_time
+@virtual
 async def test_present_gains_are_those_of_the_configuration() -> None:
     config = Config(parameters={"/robot_0/gains_left": [30.0, 50.0, 0.2], "/robot_0/x": "a name"})
     async with bench(config) as here:
@@ -320,7 +320,7 @@ async def test_present_gains_are_those_of_the_configuration() -> None:
     ("parameter", "setting_m", "track_m"),
     [(0.3, None, 0.3), (0.3, 0.33, 0.3), (None, 0.33, 0.33), (None, None, 0.21), (210, None, 0.21)],
 )
-@in_virtual_time
+@virtual
 async def test_track_width_is_a_valid_parameter_else_the_setting_else_the_papers(
     parameter: ParameterValue | None, setting_m: float | None, track_m: float
 ) -> None:

@@ -9,10 +9,10 @@ from tests.support.fake_device import service_server
 from tests.support.memory_client import memory_host
 from tests.support.participants import scene
 from tests.support.scripted_device import ScriptedDevice
-from tests.support.virtual_loop import in_virtual_time
+from tests.support.virtual_loop import virtual
 
 
-@in_virtual_time
+@virtual
 async def test_a_call_waits_as_long_as_it_was_told() -> None:
     async with scene() as made, memory_host(made.hub, made.tasks) as me:
         device = ScriptedDevice(made.hub, service_server("/trigger", "std_srvs/Trigger", 125, 101), address="10.0.0.3")

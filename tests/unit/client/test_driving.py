@@ -21,7 +21,7 @@ from tests.support.gates import drive_gate
 from tests.support.memory_client import MemoryHost, memory_host
 from tests.support.participants import NEIGHBOUR, ROBOT, Scene, scene
 from tests.support.scripted_device import ScriptedDevice
-from tests.support.virtual_loop import in_virtual_time
+from tests.support.virtual_loop import virtual
 
 HELD_BY_PERSON = "robot_0: a person drives it with a higher priority; wait until it lets go, or use stop"
 INTERRUPTED = "it was stopped, locked or reconnected while this source was driving"
@@ -86,7 +86,7 @@ async def world() -> AsyncIterator[World]:
 # -- velocities that are repeated -------------------------------------------------------------------------------------
 
 
-@in_virtual_time
+@virtual
 async def test_drive_is_repeated_and_returns_what_the_limits_made_of_it() -> None:
     async with world() as here:
         assert await here.robot.drive(0.2, 0.5) == Driven(0.2, 0.5, is_limited=False, limited_by=None)
@@ -99,7 +99,7 @@ async def test_drive_is_repeated_and_returns_what_the_limits_made_of_it() -> Non
         assert (await here.robot.drive(0.0, -40.0)).limited_by == "max_angular_rad_s"
 
 
-@in_virtual_time
+@virtual
 async def test_stop_stops_and_nothing_is_repeated() -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
@@ -118,7 +118,7 @@ class Unanswered(RemoteHosts):
         await asyncio.Event().wait()
 
 
-@in_virtual_time
+@virtual
 async def test_stop_that_is_not_answered_delays_no_stop_of_another_robot() -> None:
     """The daemon answers after other daemons have answered, and one of them may be gone."""
     async with world() as here:
@@ -136,7 +136,7 @@ async def test_stop_that_is_not_answered_delays_no_stop_of_another_robot() -> No
         here.made.hub.gates.hosts = None
 
 
-@in_virtual_time
+@virtual
 async def test_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> None:
     async with world() as here:
         assert await here.refused(name="robot_9") == "no robot named robot_9; known: robot_0, robot_1"
@@ -148,7 +148,7 @@ async def test_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> Non
         assert here.gate.current == PlanarVelocity(0.2)
 
 
-@in_virtual_time
+@virtual
 async def test_drive_of_a_device_that_left_is_broken_off_and_refused() -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
@@ -161,7 +161,7 @@ async def test_drive_of_a_device_that_left_is_broken_off_and_refused() -> None:
 
 
 @pytest.mark.parametrize("wrong", [math.nan, "fast"])
-@in_virtual_time
+@virtual
 async def test_velocity_that_is_not_finite_ends_the_earlier_drive(wrong: float) -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
@@ -173,7 +173,7 @@ async def test_velocity_that_is_not_finite_ends_the_earlier_drive(wrong: float) 
         await here.robot.drive(0.1, 0.0)
 
 
-@in_virtual_time
+@virtual
 async def test_repeated_velocity_that_is_overruled_is_dropped_and_the_next_drive_raises_once() -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
@@ -186,7 +186,7 @@ async def test_repeated_velocity_that_is_overruled_is_dropped_and_the_next_drive
         assert here.gate.current == PlanarVelocity(0.3)
 
 
-@in_virtual_time
+@virtual
 async def test_program_that_drives_again_and_again_is_refused_once_when_the_device_connected_again() -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
@@ -206,7 +206,7 @@ async def test_program_that_drives_again_and_again_is_refused_once_when_the_devi
         assert here.made.speeds()[-1] == 0.2
 
 
-@in_virtual_time
+@virtual
 async def test_stop_by_another_program_ends_a_drive_and_the_next_raises_once() -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
@@ -218,7 +218,7 @@ async def test_stop_by_another_program_ends_a_drive_and_the_next_raises_once() -
         await here.robot.drive(0.2, 0.0)
 
 
-@in_virtual_time
+@virtual
 async def test_lock_by_another_program_drops_the_velocity_and_the_unlock_moves_nothing() -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
@@ -231,7 +231,7 @@ async def test_lock_by_another_program_drops_the_velocity_and_the_unlock_moves_n
         await here.robot.drive(0.2, 0.0)
 
 
-@in_virtual_time
+@virtual
 async def test_program_drives_at_once_after_its_own_unlock() -> None:
     async with world() as here:
         other = here.other.robot(ROBOT)
@@ -249,7 +249,7 @@ async def test_program_drives_at_once_after_its_own_unlock() -> None:
         assert INTERRUPTED in await here.refused()
 
 
-@in_virtual_time
+@virtual
 async def test_epoch_of_an_own_unlock_is_of_no_use_after_a_lease() -> None:
     """The program has stopped driving by then, and later interruptions do not concern it."""
     async with world() as here:
@@ -260,7 +260,7 @@ async def test_epoch_of_an_own_unlock_is_of_no_use_after_a_lease() -> None:
         await here.robot.drive(0.2, 0.0)
 
 
-@in_virtual_time
+@virtual
 async def test_program_drives_at_once_after_its_own_stop_of_all() -> None:
     async with world() as here:
         await asyncio.sleep(LEASE_S)  # the neighbour has let go
@@ -271,7 +271,7 @@ async def test_program_drives_at_once_after_its_own_stop_of_all() -> None:
             await here.robot.drive(0.2, 0.0)
 
 
-@in_virtual_time
+@virtual
 async def test_drive_that_is_cancelled_is_followed_by_a_zero() -> None:
     """A cancelled command may be on its way, and a person who ends a program does not wait for the end of a lease."""
     async with world() as here:
@@ -289,7 +289,7 @@ async def test_drive_that_is_cancelled_is_followed_by_a_zero() -> None:
 # -- single commands --------------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
+@virtual
 async def test_command_is_not_repeated_and_its_refusal_is_known_after_its_answer() -> None:
     async with world() as here:
         assert await here.command(0.2) is None
@@ -302,7 +302,7 @@ async def test_command_is_not_repeated_and_its_refusal_is_known_after_its_answer
             await here.robot.command(math.inf, 0.0)
 
 
-@in_virtual_time
+@virtual
 async def test_commands_that_went_on_through_a_lock_move_nothing_after_the_unlock() -> None:
     async with world() as here:
         await here.robot.lock("somebody stands there")
@@ -314,7 +314,7 @@ async def test_commands_that_went_on_through_a_lock_move_nothing_after_the_unloc
 
 
 @pytest.mark.parametrize("is_current", [False, True])
-@in_virtual_time
+@virtual
 async def test_command_with_an_epoch_of_its_own_begins_another_stream(*, is_current: bool) -> None:
     """Later commands continue the new stream, not the stream before, whose epoch may be the current one."""
     async with world() as here:
@@ -323,7 +323,7 @@ async def test_command_with_an_epoch_of_its_own_begins_another_stream(*, is_curr
             assert await here.command(0.2, epoch=epoch) == (None if is_current else "disarmed")
 
 
-@in_virtual_time
+@virtual
 async def test_command_that_is_not_planar_is_refused_and_ends_no_stream() -> None:
     async with world() as here:
         assert await here.command(0.2) is None
@@ -350,7 +350,7 @@ async def stops(here: World) -> None:
 
 
 @pytest.mark.parametrize(("end", "reason"), [(ends, OWNER_LEFT), (drives_zero, LET_GO), (stops, WAS_STOPPED)])
-@in_virtual_time
+@virtual
 async def test_drive_that_ends_is_reported_once_with_its_reason(
     end: Callable[[World], Awaitable[None]], reason: str
 ) -> None:

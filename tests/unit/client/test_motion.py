@@ -16,7 +16,7 @@ from hostlink.robot.kinematics import Pose
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.memory_client import MemoryHost, memory_host
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, VELOCITY_ID, Scene, scene
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import inside, run_virtual
 from tests.support.waiting import expect
 
 PERIOD_S = 0.05
@@ -112,237 +112,219 @@ async def as_coroutine(motion: Awaitable[Motion]) -> Motion:
 # -- completed --------------------------------------------------------------------------------------------------------
 
 
-def test_drive_for_a_time_is_repeated_beyond_the_lease_and_ends_in_zero() -> None:
-    async def test(here: World) -> None:
-        result = await here.robot.drive(0.2, 0.0, for_s=2.0)
-        assert (result.outcome, result.kind, result.by) == (MotionOutcome.REACHED, "", None)
-        assert result.is_reached
-        assert result.elapsed_s == pytest.approx(2.0, abs=0.01)
-        assert math.dist(here.pose[:2], (1.0, 2.0)) == pytest.approx(0.4, abs=0.03)
-        await asyncio.sleep(PERIOD_S)
-        assert here.is_zero
-
-    in_world(test)
+@inside(in_world)
+async def test_drive_for_a_time_is_repeated_beyond_the_lease_and_ends_in_zero(here: World) -> None:
+    result = await here.robot.drive(0.2, 0.0, for_s=2.0)
+    assert (result.outcome, result.kind, result.by) == (MotionOutcome.REACHED, "", None)
+    assert result.is_reached
+    assert result.elapsed_s == pytest.approx(2.0, abs=0.01)
+    assert math.dist(here.pose[:2], (1.0, 2.0)) == pytest.approx(0.4, abs=0.03)
+    await asyncio.sleep(PERIOD_S)
+    assert here.is_zero
 
 
 @pytest.mark.parametrize("metres", [1.0, -0.6, 0.0])
-def test_move_reaches_the_place_and_reports_progress(metres: float) -> None:
-    async def test(here: World) -> None:
-        seen: list[Progress] = []
-        result = await here.robot.move(metres, on_progress=seen.append)
-        assert (result.outcome, result.reason) == (MotionOutcome.REACHED, "")
-        assert result.distance_m == pytest.approx(metres, abs=0.03)
-        assert result.turned_rad == pytest.approx(0.0, abs=0.05)
-        assert math.dist(here.pose[:2], (1.0, 2.0)) == pytest.approx(abs(metres), abs=0.03)
-        assert seen[-1].fraction == pytest.approx(1.0, abs=0.05)
-        assert [each.elapsed_s for each in seen] == sorted(each.elapsed_s for each in seen)
-
-    in_world(test)
+@inside(in_world)
+async def test_move_reaches_the_place_and_reports_progress(here: World, metres: float) -> None:
+    seen: list[Progress] = []
+    result = await here.robot.move(metres, on_progress=seen.append)
+    assert (result.outcome, result.reason) == (MotionOutcome.REACHED, "")
+    assert result.distance_m == pytest.approx(metres, abs=0.03)
+    assert result.turned_rad == pytest.approx(0.0, abs=0.05)
+    assert math.dist(here.pose[:2], (1.0, 2.0)) == pytest.approx(abs(metres), abs=0.03)
+    assert seen[-1].fraction == pytest.approx(1.0, abs=0.05)
+    assert [each.elapsed_s for each in seen] == sorted(each.elapsed_s for each in seen)
 
 
 @pytest.mark.parametrize("radians", [math.pi / 2, -4.0])
-def test_turn_reaches_the_heading_also_beyond_half_a_turn(radians: float) -> None:
-    async def test(here: World) -> None:
-        result = await here.robot.turn(radians)
-        assert result.outcome is MotionOutcome.REACHED
-        assert result.turned_rad == pytest.approx(radians, abs=0.06)
-        assert here.pose.theta_rad - 0.5 == pytest.approx(radians, abs=0.06)
-
-    in_world(test)
+@inside(in_world)
+async def test_turn_reaches_the_heading_also_beyond_half_a_turn(here: World, radians: float) -> None:
+    result = await here.robot.turn(radians)
+    assert result.outcome is MotionOutcome.REACHED
+    assert result.turned_rad == pytest.approx(radians, abs=0.06)
+    assert here.pose.theta_rad - 0.5 == pytest.approx(radians, abs=0.06)
 
 
-def test_move_is_never_faster_than_its_speed() -> None:
-    async def test(here: World) -> None:
-        result = await here.robot.move(0.2, speed_m_s=0.04)
-        assert result.is_reached
-        assert max(here.made.speeds()) == 0.04
-
-    in_world(test)
+@inside(in_world)
+async def test_move_is_never_faster_than_its_speed(here: World) -> None:
+    result = await here.robot.move(0.2, speed_m_s=0.04)
+    assert result.is_reached
+    assert max(here.made.speeds()) == 0.04
 
 
 # -- ended by something else ------------------------------------------------------------------------------------------
 
 
 @every_motion
-def test_motion_that_is_locked_is_stopped_with_the_reason(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
-    async def test(here: World) -> None:
-        gate = here.made.hub.robots.find_here(ROBOT)
-        result = await interrupted(here, motion, lambda: gate.lock("smoke", by="the fire alarm"))
-        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "locked", "the fire alarm")
-        assert "smoke" in result.reason
-        assert result.elapsed_s < 1.5
-        await asyncio.sleep(PERIOD_S)
-        assert here.is_zero
-        with pytest.raises(CommandRefused, match="smoke"):  # a motion that cannot begin raises, as `drive` does
-            await motion(here.robot)
-
-    in_world(test)
-
-
-@every_motion
-def test_motion_that_is_stopped_by_another_is_not_resumed(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
-    async def test(here: World) -> None:
-        robot = here.made.hub.robots.find_here(ROBOT)
-        result = await interrupted(here, motion, lambda: robot.stop(by="the page"))
-        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "disarmed", "a stop by the page")
-        await asyncio.sleep(0.2)
-        assert here.is_zero
-        assert (await here.robot.drive(0.1, 0.0, for_s=0.2)).is_reached  # the result has told the program
-
-    in_world(test)
+@inside(in_world)
+async def test_motion_that_is_locked_is_stopped_with_the_reason(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
+) -> None:
+    gate = here.made.hub.robots.find_here(ROBOT)
+    result = await interrupted(here, motion, lambda: gate.lock("smoke", by="the fire alarm"))
+    assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "locked", "the fire alarm")
+    assert "smoke" in result.reason
+    assert result.elapsed_s < 1.5
+    await asyncio.sleep(PERIOD_S)
+    assert here.is_zero
+    with pytest.raises(CommandRefused, match="smoke"):  # a motion that cannot begin raises, as `drive` does
+        await motion(here.robot)
 
 
 @every_motion
-def test_motion_ends_when_a_person_takes_over_and_names_who(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
-    async def test(here: World) -> None:
-        person = here.made.hub.join("teleop of Ada")
-        robot = here.made.hub.robots.find_here(ROBOT)
-
-        def take_over() -> None:
-            person.drive(robot, PlanarVelocity(-0.1), priority=60)
-
-        result = await interrupted(here, motion, take_over)
-        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "held", "teleop of Ada")
-        await asyncio.sleep(PERIOD_S)
-        assert here.velocity.linear_x_m_s == -0.1  # the end of the motion has not stopped the person
-        person.leave()
-
-    in_world(test)
+@inside(in_world)
+async def test_motion_that_is_stopped_by_another_is_not_resumed(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
+) -> None:
+    robot = here.made.hub.robots.find_here(ROBOT)
+    result = await interrupted(here, motion, lambda: robot.stop(by="the page"))
+    assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "disarmed", "a stop by the page")
+    await asyncio.sleep(0.2)
+    assert here.is_zero
+    assert (await here.robot.drive(0.1, 0.0, for_s=0.2)).is_reached  # the result has told the program
 
 
 @every_motion
-def test_motion_ends_by_a_stop_of_the_same_program(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
-    async def test(here: World) -> None:
-        result = await interrupted(here, motion, here.me.stop_driven)
-        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "program", "this program")
+@inside(in_world)
+async def test_motion_ends_when_a_person_takes_over_and_names_who(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
+) -> None:
+    person = here.made.hub.join("teleop of Ada")
+    robot = here.made.hub.robots.find_here(ROBOT)
 
-    in_world(test)
+    def take_over() -> None:
+        person.drive(robot, PlanarVelocity(-0.1), priority=60)
+
+    result = await interrupted(here, motion, take_over)
+    assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "held", "teleop of Ada")
+    await asyncio.sleep(PERIOD_S)
+    assert here.velocity.linear_x_m_s == -0.1  # the end of the motion has not stopped the person
+    person.leave()
 
 
 @every_motion
-def test_motion_gives_way_to_a_newer_drive_of_the_same_program(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
-    async def test(here: World) -> None:
-        result = await interrupted(here, motion, lambda: here.robot.drive(-0.1, 0.0))
-        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "program")
-        await asyncio.sleep(PERIOD_S)
-        assert here.velocity.linear_x_m_s == -0.1
-        await here.me.stop_driven()
+@inside(in_world)
+async def test_motion_ends_by_a_stop_of_the_same_program(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
+) -> None:
+    result = await interrupted(here, motion, here.me.stop_driven)
+    assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "program", "this program")
 
-    in_world(test)
+
+@every_motion
+@inside(in_world)
+async def test_motion_gives_way_to_a_newer_drive_of_the_same_program(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
+) -> None:
+    result = await interrupted(here, motion, lambda: here.robot.drive(-0.1, 0.0))
+    assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "program")
+    await asyncio.sleep(PERIOD_S)
+    assert here.velocity.linear_x_m_s == -0.1
+    await here.me.stop_driven()
 
 
 @pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
 @pytest.mark.parametrize("of_all", [True, False], ids=["all", "robot"])
-def test_motion_that_waits_for_its_first_pose_ends_by_a_stop_of_the_same_program(
-    motion: Callable[[Robot], Awaitable[Motion]], of_all: bool
+@inside(in_world)
+async def test_motion_that_waits_for_its_first_pose_ends_by_a_stop_of_the_same_program(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]], of_all: bool
 ) -> None:
-    async def test(here: World) -> None:
-        here.is_silent = True
-        await asyncio.sleep(3.0)  # the poses of before are old
-        task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
-        await asyncio.sleep(0.5)
-        await (here.me.stop_driven() if of_all else here.stop())
-        here.is_silent = False
-        result = await task
-        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "program")
-        await asyncio.sleep(PERIOD_S)
-        assert here.is_zero
-
-    in_world(test)
+    here.is_silent = True
+    await asyncio.sleep(3.0)  # the poses of before are old
+    task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+    await asyncio.sleep(0.5)
+    await (here.me.stop_driven() if of_all else here.stop())
+    here.is_silent = False
+    result = await task
+    assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "program")
+    await asyncio.sleep(PERIOD_S)
+    assert here.is_zero
 
 
 @every_motion
-def test_motion_ends_by_a_stop_during_the_round_trip_of_its_command(
-    motion: Callable[[Robot], Awaitable[Motion]],
+@inside(in_world)
+async def test_motion_ends_by_a_stop_during_the_round_trip_of_its_command(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
 ) -> None:
-    async def test(here: World) -> None:
-        here.me.connection_.delay_s = 0.4
-        task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
-        await asyncio.sleep(0.3)
-        await here.stop()
-        result = await task
-        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "program")
-        assert result.elapsed_s < 1.0
-
-    in_world(test)
+    here.me.connection_.delay_s = 0.4
+    task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+    await asyncio.sleep(0.3)
+    await here.stop()
+    result = await task
+    assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "program")
+    assert result.elapsed_s < 1.0
 
 
 @every_motion
-def test_end_of_a_replaced_motion_leaves_the_notice_of_the_newer_drive(
-    motion: Callable[[Robot], Awaitable[Motion]],
+@inside(in_world)
+async def test_end_of_a_replaced_motion_leaves_the_notice_of_the_newer_drive(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
 ) -> None:
-    async def test(here: World) -> None:
-        task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
-        await asyncio.sleep(1.0)
+    task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+    await asyncio.sleep(1.0)
+    await here.robot.drive(-0.1, 0.0)
+    here.made.hub.robots.find_here(ROBOT).lock("a person is near")
+    assert (await task).kind == "program"
+    await asyncio.sleep(0.5)
+    with pytest.raises(HostlinkError, match="drive again if it is still meant"):
         await here.robot.drive(-0.1, 0.0)
-        here.made.hub.robots.find_here(ROBOT).lock("a person is near")
-        assert (await task).kind == "program"
-        await asyncio.sleep(0.5)
-        with pytest.raises(HostlinkError, match="drive again if it is still meant"):
-            await here.robot.drive(-0.1, 0.0)
-
-    in_world(test)
 
 
 @every_motion
-def test_motion_that_is_cancelled_ends_in_zero_at_once(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
-    async def test(here: World) -> None:
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(1.0):
-                await motion(here.robot)
-        await asyncio.sleep(0.01)
-        assert here.is_zero
-
-    in_world(test)
+@inside(in_world)
+async def test_motion_that_is_cancelled_ends_in_zero_at_once(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
+) -> None:
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(1.0):
+            await motion(here.robot)
+    await asyncio.sleep(0.01)
+    assert here.is_zero
 
 
 @every_motion
-def test_motion_whose_connection_breaks_ends_with_the_lease(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
-    async def test(here: World) -> None:
-        result = await interrupted(here, motion, here.me.lose)
-        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "connection", None)
-        assert result.reason == "the network is cut"
-
-    in_world(test)
-
-
-@pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
-def test_motion_without_odometry_for_half_a_second_ends(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
-    async def test(here: World) -> None:
-        def silence() -> None:
-            here.is_silent = True
-
-        result = await interrupted(here, motion, silence)
-        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "no_odometry")
-        assert 1.4 < result.elapsed_s < 1.8
-
-    in_world(test)
+@inside(in_world)
+async def test_motion_whose_connection_breaks_ends_with_the_lease(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
+) -> None:
+    result = await interrupted(here, motion, here.me.lose)
+    assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "connection", None)
+    assert result.reason == "the network is cut"
 
 
 @pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
-def test_motion_against_an_obstacle_is_blocked(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
-    async def test(here: World) -> None:
-        def block() -> None:
-            here.grip = 0.0
+@inside(in_world)
+async def test_motion_without_odometry_for_half_a_second_ends(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
+) -> None:
+    def silence() -> None:
+        here.is_silent = True
 
-        result = await interrupted(here, motion, block)
-        assert result.outcome is MotionOutcome.BLOCKED
-        assert "did not advance" in result.reason
-        assert result.elapsed_s < 3.5
-
-    in_world(test)
+    result = await interrupted(here, motion, silence)
+    assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "no_odometry")
+    assert 1.4 < result.elapsed_s < 1.8
 
 
-def test_motion_whose_odometry_jumps_is_stopped() -> None:
-    async def test(here: World) -> None:
-        def turn() -> None:
-            here.pose = Pose(1.0, 2.0, 2.5)
+@pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
+@inside(in_world)
+async def test_motion_against_an_obstacle_is_blocked(here: World, motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    def block() -> None:
+        here.grip = 0.0
 
-        result = await interrupted(here, MOTIONS[1], turn)
-        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "off_course")
-        assert result.reason == "the odometry jumped"
+    result = await interrupted(here, motion, block)
+    assert result.outcome is MotionOutcome.BLOCKED
+    assert "did not advance" in result.reason
+    assert result.elapsed_s < 3.5
 
-    in_world(test)
+
+@inside(in_world)
+async def test_motion_whose_odometry_jumps_is_stopped(here: World) -> None:
+    def turn() -> None:
+        here.pose = Pose(1.0, 2.0, 2.5)
+
+    result = await interrupted(here, MOTIONS[1], turn)
+    assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "off_course")
+    assert result.reason == "the odometry jumped"
 
 
 @pytest.mark.parametrize("jump", [Pose(0.5, 0.0, 0.0), Pose(0.0, 0.0, 1.2)])
@@ -357,79 +339,73 @@ def test_pilot_ends_by_a_jump_of_the_place_or_the_heading(jump: Pose) -> None:
     "event", ["taken over", "locked", "odometry lost", "stopped by the program", "connection lost"]
 )
 @pytest.mark.parametrize("motion", [lambda robot: robot.move(0.2), lambda robot: robot.turn(0.6)], ids=NAMES[1:])
-def test_motion_that_has_arrived_is_reached_also_if_it_ends_before_the_robot_settled(
-    motion: Callable[[Robot], Awaitable[Motion]], event: str
+@inside(in_world)
+async def test_motion_that_has_arrived_is_reached_also_if_it_ends_before_the_robot_settled(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]], event: str
 ) -> None:
-    async def test(here: World) -> None:
-        robot = here.made.hub.robots.find_here(ROBOT)
-        task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
-        await asyncio.sleep(0.5)
-        await expect(lambda: here.is_zero)
-        other = here.made.hub.join("a program of lower priority")
-        match event:
-            case "taken over":
-                for _ in range(10):  # a zero holds no robot
-                    with contextlib.suppress(CommandRefused):  # until the lease of the newest velocity ends
-                        other.drive(robot, PlanarVelocity(-0.1), priority=10)
-                    await asyncio.sleep(0.1)
-            case "locked":
-                robot.lock("smoke")
-            case "odometry lost":
-                here.is_silent = True
-            case "stopped by the program":
-                await here.stop()
-            case _:
-                here.me.lose()
-        result = await task
-        other.leave()
-        assert (result.outcome, result.kind, result.by, result.reason) == (MotionOutcome.REACHED, "", None, "")
-        assert result.distance_m is not None
-        assert result.turned_rad is not None
-        assert result.distance_m / 0.2 + result.turned_rad / 0.6 == pytest.approx(1.0, abs=0.2)
-
-    in_world(test)
+    robot = here.made.hub.robots.find_here(ROBOT)
+    task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+    await asyncio.sleep(0.5)
+    await expect(lambda: here.is_zero)
+    other = here.made.hub.join("a program of lower priority")
+    match event:
+        case "taken over":
+            for _ in range(10):  # a zero holds no robot
+                with contextlib.suppress(CommandRefused):  # until the lease of the newest velocity ends
+                    other.drive(robot, PlanarVelocity(-0.1), priority=10)
+                await asyncio.sleep(0.1)
+        case "locked":
+            robot.lock("smoke")
+        case "odometry lost":
+            here.is_silent = True
+        case "stopped by the program":
+            await here.stop()
+        case _:
+            here.me.lose()
+    result = await task
+    other.leave()
+    assert (result.outcome, result.kind, result.by, result.reason) == (MotionOutcome.REACHED, "", None, "")
+    assert result.distance_m is not None
+    assert result.turned_rad is not None
+    assert result.distance_m / 0.2 + result.turned_rad / 0.6 == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("continues", [True, False])
-def test_motion_whose_board_restarts_without_an_interruption_ends(continues: bool) -> None:
+@inside(in_world)
+async def test_motion_whose_board_restarts_without_an_interruption_ends(here: World, continues: bool) -> None:
     """The pose continues or begins again; the distance of the meantime is unknown in both cases."""
+    estimator = here.made.hub.robots.find_here(ROBOT).odometry
+    estimator._continues = continues
+    here.pose = Pose(0.1, 0.0, 0.0)
+    await asyncio.sleep(2.5)
 
-    async def test(here: World) -> None:
-        estimator = here.made.hub.robots.find_here(ROBOT).odometry
-        estimator._continues = continues
-        here.pose = Pose(0.1, 0.0, 0.0)
-        await asyncio.sleep(2.5)
+    def restart() -> None:
+        here.pose = Pose()
 
-        def restart() -> None:
-            here.pose = Pose()
-
-        result = await interrupted(here, MOTIONS[1], restart)
-        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "odometry_reset")
-        assert "board restarted" in result.reason
-        assert result.distance_m == pytest.approx(0.2, abs=0.03)
-
-    in_world(test)
+    result = await interrupted(here, MOTIONS[1], restart)
+    assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "odometry_reset")
+    assert "board restarted" in result.reason
+    assert result.distance_m == pytest.approx(0.2, abs=0.03)
 
 
 @pytest.mark.parametrize("before", [Pose(), Pose(1.0, 2.0, 0.5)], ids=["near the origin", "far away"])
 @pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
-def test_motion_whose_odometry_is_reset_ends(motion: Callable[[Robot], Awaitable[Motion]], before: Pose) -> None:
+@inside(in_world)
+async def test_motion_whose_odometry_is_reset_ends(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]], before: Pose
+) -> None:
     """Within a second of the origin the step back is smaller than a jump."""
+    estimator = here.made.hub.robots.find_here(ROBOT).odometry
+    here.pose = before
+    await asyncio.sleep(0.2)
 
-    async def test(here: World) -> None:
-        estimator = here.made.hub.robots.find_here(ROBOT).odometry
-        here.pose = before
-        await asyncio.sleep(0.2)
+    def reset() -> None:
+        estimator.expect_reset(asyncio.get_running_loop().time())
+        here.pose = Pose()
 
-        def reset() -> None:
-            estimator.expect_reset(asyncio.get_running_loop().time())
-            here.pose = Pose()
-
-        result = await interrupted(here, motion, reset)
-        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "odometry_reset")
-        assert result.reason == "the robot's odometry was reset"
-
-    in_world(test)
+    result = await interrupted(here, motion, reset)
+    assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "odometry_reset")
+    assert result.reason == "the robot's odometry was reset"
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.4])
@@ -445,15 +421,13 @@ def test_pilot_passes_through_the_origin_with_late_poses(late_s: float) -> None:
         assert pilot.outcome is not MotionOutcome.STOPPED
 
 
-def test_motion_has_a_bound_in_time() -> None:
-    async def test(here: World) -> None:
-        result = await here.robot.move(4.0, timeout_s=1.5)
-        assert result.outcome is MotionOutcome.TIMED_OUT
-        assert result.reason == "it was not completed within 1.5 s"
-        assert result.elapsed_s == pytest.approx(1.5, abs=0.1)
-        assert result.distance_m == pytest.approx(0.3, abs=0.05)
-
-    in_world(test)
+@inside(in_world)
+async def test_motion_has_a_bound_in_time(here: World) -> None:
+    result = await here.robot.move(4.0, timeout_s=1.5)
+    assert result.outcome is MotionOutcome.TIMED_OUT
+    assert result.reason == "it was not completed within 1.5 s"
+    assert result.elapsed_s == pytest.approx(1.5, abs=0.1)
+    assert result.distance_m == pytest.approx(0.3, abs=0.05)
 
 
 def test_motion_has_a_bound_in_distance() -> None:
@@ -470,18 +444,16 @@ def test_motion_has_a_bound_in_distance() -> None:
         assert velocity == PlanarVelocity()
 
 
-def test_error_of_the_progress_function_ends_the_motion_and_is_raised() -> None:
-    async def test(here: World) -> None:
-        def fail(progress: Progress) -> None:
-            if progress.distance_m > 0.1:
-                raise ZeroDivisionError
+@inside(in_world)
+async def test_error_of_the_progress_function_ends_the_motion_and_is_raised(here: World) -> None:
+    def fail(progress: Progress) -> None:
+        if progress.distance_m > 0.1:
+            raise ZeroDivisionError
 
-        with pytest.raises(ZeroDivisionError):
-            await here.robot.move(2.0, on_progress=fail)
-        await asyncio.sleep(0.01)
-        assert here.is_zero
-
-    in_world(test)
+    with pytest.raises(ZeroDivisionError):
+        await here.robot.move(2.0, on_progress=fail)
+    await asyncio.sleep(0.01)
+    assert here.is_zero
 
 
 class _RefusedSender:
@@ -526,15 +498,13 @@ def test_motion_that_is_cancelled_while_its_refusal_ends_it_is_cancelled() -> No
     run_virtual(test())
 
 
-def test_motion_without_any_odometry_does_not_begin() -> None:
-    async def test(here: World) -> None:
-        here.is_silent = True
-        await asyncio.sleep(1.0)  # the known pose is old
-        with pytest.raises(HostlinkError, match="no odometry arrived for 3 s"):
-            await here.robot.move(1.0)
-        assert here.is_zero
-
-    in_world(test)
+@inside(in_world)
+async def test_motion_without_any_odometry_does_not_begin(here: World) -> None:
+    here.is_silent = True
+    await asyncio.sleep(1.0)  # the known pose is old
+    with pytest.raises(HostlinkError, match="no odometry arrived for 3 s"):
+        await here.robot.move(1.0)
+    assert here.is_zero
 
 
 @pytest.mark.parametrize(
@@ -547,44 +517,40 @@ def test_motion_without_any_odometry_does_not_begin() -> None:
         (lambda robot: robot.drive(0.1, 0.0, for_s=math.inf), "for_s is inf; pass a positive"),
     ],
 )
-def test_motion_with_an_invalid_number_is_refused(motion: Callable[[Robot], Awaitable[Motion]], problem: str) -> None:
-    async def test(here: World) -> None:
-        with pytest.raises(HostlinkError, match=problem) as caught:
-            await motion(here.robot)
-        assert caught.value.kind == "BadRequest"
+@inside(in_world)
+async def test_motion_with_an_invalid_number_is_refused(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]], problem: str
+) -> None:
+    with pytest.raises(HostlinkError, match=problem) as caught:
+        await motion(here.robot)
+    assert caught.value.kind == "BadRequest"
 
-    in_world(test)
 
-
-def test_end_of_all_motions_keeps_the_notice_of_a_velocity_that_was_broken_off() -> None:
-    async def test(here: World) -> None:
-        driver = here.me._driver
+@inside(in_world)
+async def test_end_of_all_motions_keeps_the_notice_of_a_velocity_that_was_broken_off(here: World) -> None:
+    driver = here.me._driver
+    await here.robot.drive(0.1, 0.0)
+    here.me.lose()
+    driver.give_up()
+    assert not here.robot.is_driven
+    with pytest.raises(HostlinkError, match="the network is cut"):
         await here.robot.drive(0.1, 0.0)
-        here.me.lose()
-        driver.give_up()
-        assert not here.robot.is_driven
-        with pytest.raises(HostlinkError, match="the network is cut"):
-            await here.robot.drive(0.1, 0.0)
-        await here.robot.drive(0.1, 0.0)  # a drive after the end is a new one
-        assert here.robot.is_driven
-        await here.me.stop_driven()
-
-    in_world(test)
+    await here.robot.drive(0.1, 0.0)  # a drive after the end is a new one
+    assert here.robot.is_driven
+    await here.me.stop_driven()
 
 
 @pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
-def test_end_of_all_motions_ends_one_that_has_not_commanded_and_no_later_one(
-    motion: Callable[[Robot], Awaitable[Motion]],
+@inside(in_world)
+async def test_end_of_all_motions_ends_one_that_has_not_commanded_and_no_later_one(
+    here: World, motion: Callable[[Robot], Awaitable[Motion]]
 ) -> None:
-    async def test(here: World) -> None:
-        here.is_silent = True
-        await asyncio.sleep(3.0)  # the poses of before are old
-        waiting = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
-        await asyncio.sleep(0.5)
-        here.me._driver.give_up()
-        here.is_silent = False
-        assert (await waiting).kind == "program"
-        assert here.is_zero
-        assert (await here.robot.move(0.2)).is_reached
-
-    in_world(test)
+    here.is_silent = True
+    await asyncio.sleep(3.0)  # the poses of before are old
+    waiting = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+    await asyncio.sleep(0.5)
+    here.me._driver.give_up()
+    here.is_silent = False
+    assert (await waiting).kind == "program"
+    assert here.is_zero
+    assert (await here.robot.move(0.2)).is_reached

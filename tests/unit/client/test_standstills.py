@@ -3,11 +3,11 @@
 from hostlink.client import StandstillState
 from hostlink.hub.standstills import WAIT_S
 from tests.support.bench import with_robot
-from tests.support.virtual_loop import in_virtual_time
+from tests.support.virtual_loop import virtual
 from tests.support.waiting import expect
 
 
-@in_virtual_time
+@virtual
 async def test_lock_returns_the_measured_time_and_speed() -> None:
     async with with_robot() as (here, robot):
         await here.other.robot("robot_0").drive(0.15, 0.0)  # it is repeated
@@ -21,7 +21,7 @@ async def test_lock_returns_the_measured_time_and_speed() -> None:
         assert abs(robot.speed_m_s) < 0.005
 
 
-@in_virtual_time
+@virtual
 async def test_standstill_is_measured_without_a_stop() -> None:
     async with with_robot() as (here, _):
         stops = here.robot.gate.counts.stops

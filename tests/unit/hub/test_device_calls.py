@@ -16,12 +16,12 @@ from hostlink.hub.device_calls import LAST_S, MAX_CALLS, MAX_WAITING
 from hostlink.hub.hub import Hub
 from hostlink.hub.services import DEVICE_TIMEOUT_S, Provider
 from hostlink.link.serving import LinkEnd
-from hostlink.messages.message_type import MessageType, ServiceType
+from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import ServiceRequested
 from hostlink.protocol.frame import OVERHEAD_BYTES, Id
 from hostlink.protocol.outbox import MAX_REPLIES
-from tests.support.fake_device import CATALOG, robot_topics, topic
+from tests.support.fake_device import CATALOG, robot_topics, service_type, topic
 from tests.support.ros_lib_device import (
     REQUESTS,
     RESPONSES,
@@ -48,14 +48,8 @@ ANY_LAYOUTS = [
 Answer = Callable[[Mapping[str, object]], Awaitable[Mapping[str, object]]]
 
 
-def known(type_name: str) -> ServiceType:
-    found = CATALOG.service(type_name)
-    assert found is not None
-    return found
-
-
 def trigger(*, buffer_bytes: int = 512, count: int = 1) -> list[TopicInfo]:
-    type_ = known("std_srvs/Trigger")
+    type_ = service_type("std_srvs/Trigger")
     md5 = type_.request.md5, type_.response.md5
     return clients("/go", "std_srvs/Trigger", md5=md5, buffer_bytes=buffer_bytes, count=count)
 
@@ -136,7 +130,7 @@ def test_a_programs_text_that_is_longer_than_the_devices_buffer_is_cut() -> None
 
 
 def test_a_list_that_is_longer_than_the_devices_buffer_is_a_failure_and_not_half_a_list() -> None:
-    type_ = known("rosserial_msgs/RequestParam")
+    type_ = service_type("rosserial_msgs/RequestParam")
     topics = clients("/p", type_.name, md5=(type_.request.md5, type_.response.md5), buffer_bytes=64)
     long = answering({"ints": list(range(100))})
     response = response_type("int32[] ints\nfloat32[] floats\nstring[] strings")
@@ -163,7 +157,7 @@ def test_a_type_that_has_another_md5_here_is_answered_all_the_same(which: Id) ->
 
 
 def test_request_of_another_type_is_answered() -> None:
-    type_ = known("rosserial_arduino/Test")
+    type_ = service_type("rosserial_arduino/Test")
     topics = clients("/test_srv", type_.name, md5=(type_.request.md5, type_.response.md5))
     found, _, end = outcome(topics, response_type("string output"), request=struct.pack("<I", 1000) + b"short")
     assert (found, end) == ({"output": ""}, None)

@@ -31,7 +31,6 @@ class Reader:
         self.subscription = participant.subscribe(TOPIC, self._receive)
 
     def _receive(self, message: Message) -> None:
-        assert message.type is not None
         array = message.type.decode(message.payload)
         self.arrays.append(array)
         self.statuses |= {status["name"]: status for status in array["status"]}

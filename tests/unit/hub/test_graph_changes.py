@@ -3,7 +3,7 @@
 import asyncio
 
 from hostlink.hub.graph_changes import LATEST_S, MAX_KEPT, NOTIFY_AFTER_S, SHARE, GraphChanges, GraphKind
-from tests.support.virtual_loop import VirtualLoop, run_virtual
+from tests.support.virtual_loop import VirtualLoop, run_virtual, virtual
 
 
 def loop() -> VirtualLoop:
@@ -12,26 +12,23 @@ def loop() -> VirtualLoop:
     return running
 
 
-def test_each_watcher_is_called_in_a_turn_of_its_own_once_for_all_changes() -> None:
-    async def run() -> tuple[list[int], float]:
-        changes, called, longest_s = GraphChanges(loop().time), [], 0.0
+@virtual
+async def test_each_watcher_is_called_in_a_turn_of_its_own_once_for_all_changes() -> None:
+    changes, called, longest_s = GraphChanges(loop().time), [], 0.0
 
-        def watcher(number: int) -> None:
-            called.append(number)
-            loop().burn(0.001)
+    def watcher(number: int) -> None:
+        called.append(number)
+        loop().burn(0.001)
 
-        for number in range(20):
-            changes.watch(number, lambda number=number: watcher(number))  # type: ignore[misc]
-        for number in range(100):
-            changes.note(GraphKind.TOPIC, f"/{number}")
-        await asyncio.sleep(NOTIFY_AFTER_S)
-        while len(called) < 20:
-            before_s = loop().time()
-            await asyncio.sleep(0)
-            longest_s = max(longest_s, loop().time() - before_s)
-        return called, longest_s
-
-    called, longest_s = run_virtual(run())
+    for number in range(20):
+        changes.watch(number, lambda number=number: watcher(number))  # type: ignore[misc]
+    for number in range(100):
+        changes.note(GraphKind.TOPIC, f"/{number}")
+    await asyncio.sleep(NOTIFY_AFTER_S)
+    while len(called) < 20:
+        before_s = loop().time()
+        await asyncio.sleep(0)
+        longest_s = max(longest_s, loop().time() - before_s)
     assert called == list(range(20))
     assert longest_s <= 0.0011
 

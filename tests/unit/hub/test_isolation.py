@@ -11,6 +11,7 @@ from structlog.testing import capture_logs
 from hostlink.hub import isolation
 from hostlink.hub.isolation import Isolation
 from tests.support.memory_hub import MemoryHub, in_hub
+from tests.support.virtual_loop import inside
 
 
 def test_crash_is_counted_and_logged_and_not_raised() -> None:
@@ -44,24 +45,22 @@ def test_crash_whose_traceback_cannot_be_logged_is_logged_without_it(monkeypatch
     assert lines == [{"event": "link.crashed", "cause": "ValueError('x')", "link": 3}]
 
 
-def test_task_that_crashes_ends_nothing_else() -> None:
-    async def test(made: MemoryHub) -> None:
-        async def crash() -> None:
-            raise ZeroDivisionError
+@inside(in_hub, reraises=False)
+async def test_task_that_crashes_ends_nothing_else(made: MemoryHub) -> None:
+    async def crash() -> None:
+        raise ZeroDivisionError
 
-        async def work() -> None:
-            await asyncio.sleep(1.0)
-            done.append("done")
+    async def work() -> None:
+        await asyncio.sleep(1.0)
+        done.append("done")
 
-        done: list[str] = []
-        made.hub.spawn(work(), name="work")
-        made.hub.spawn(crash(), name="broken")
-        await asyncio.sleep(2.0)
-        assert done == ["done"]
-        assert made.hub.isolation.crashes == {"task": 1}
-        assert [each["task"] for each in made.logged("task.crashed")] == ["broken"]
-
-    in_hub(test, reraises=False)
+    done: list[str] = []
+    made.hub.spawn(work(), name="work")
+    made.hub.spawn(crash(), name="broken")
+    await asyncio.sleep(2.0)
+    assert done == ["done"]
+    assert made.hub.isolation.crashes == {"task": 1}
+    assert [each["task"] for each in made.logged("task.crashed")] == ["broken"]
 
 
 def test_work_that_is_spawned_in_the_last_turn_of_the_hub_is_closed() -> None:

@@ -21,15 +21,6 @@ def drain(queue: Queue[bytes]) -> list[bytes]:
     return popped
 
 
-def test_everything_leaves_in_the_order_in_which_it_came() -> None:
-    queue = made()
-    queue.put_message("/a", b"1")
-    queue.put_result(b"2")
-    queue.put_message("/b", b"3")
-    queue.put_message("/a", b"4")
-    assert drain(queue) == [b"1", b"2", b"3", b"4"]
-
-
 def test_a_full_queue_drops_the_oldest_of_the_topic_that_fills_it() -> None:
     queue = made()
     queue.put_message("/rare", b"kept")

@@ -8,38 +8,33 @@ from hostlink.link.serving import LAST_FRAME_TIMEOUT_S, LinkEnd
 from hostlink.protocol.session import Session
 from tests.support.memory_transport import memory_pair
 from tests.support.session_host import check
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import virtual
 
 
-def test_cancelled_link_closes_the_connection_while_its_last_frame_waits() -> None:
-    async def run() -> None:
-        transport, device = memory_pair(room_bytes=0)  # the device reads nothing
-        link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=lambda _link, _event: None)
-        link.last_frame = bytes(56)
-        async with asyncio.TaskGroup() as tasks:
-            running = tasks.create_task(link.run())
-            await asyncio.sleep(1.0)
-            link.end(LinkEnd.EVICTED)
-            await asyncio.sleep(LAST_FRAME_TIMEOUT_S / 2)
-            running.cancel()
-        assert running.cancelled()
-        assert device.is_ended
-
-    run_virtual(run())
+@virtual
+async def test_cancelled_link_closes_the_connection_while_its_last_frame_waits() -> None:
+    transport, device = memory_pair(room_bytes=0)  # the device reads nothing
+    link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=lambda _link, _event: None)
+    link.last_frame = bytes(56)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(link.run())
+        await asyncio.sleep(1.0)
+        link.end(LinkEnd.EVICTED)
+        await asyncio.sleep(LAST_FRAME_TIMEOUT_S / 2)
+        running.cancel()
+    assert running.cancelled()
+    assert device.is_ended
 
 
-def test_device_that_closes_while_the_writer_waits_for_it_ends_the_link_as_closed_by_the_peer() -> None:
+@virtual
+async def test_device_that_closes_while_the_writer_waits_for_it_ends_the_link_as_closed_by_the_peer() -> None:
     """The writer's error counted as a cancellation of the link's task."""
-
-    async def run() -> LinkEnd:
-        transport, device = memory_pair()
-        link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=lambda _link, _event: None)
-        async with asyncio.TaskGroup() as tasks:
-            running = tasks.create_task(link.run())
-            await asyncio.sleep(1.0)
-            await device.aclose()
-            link.session.outbox.put_urgent(100, bytes(56))
-            link.write_now()
-        return running.result()
-
-    assert run_virtual(run()) is LinkEnd.PEER_CLOSED
+    transport, device = memory_pair()
+    link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=lambda _link, _event: None)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(link.run())
+        await asyncio.sleep(1.0)
+        await device.aclose()
+        link.session.outbox.put_urgent(100, bytes(56))
+        link.write_now()
+    assert running.result() is LinkEnd.PEER_CLOSED

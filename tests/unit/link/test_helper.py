@@ -7,7 +7,7 @@ from contextlib import nullcontext
 import pytest
 
 from hostlink.link.serving import Helper
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, virtual
 
 
 class Works:
@@ -27,33 +27,29 @@ class Works:
         raise ConnectionResetError
 
 
-def test_one_task_works_at_a_time() -> None:
-    async def run() -> list[str]:
-        helper, works, context = Helper("test", lambda: False), Works(), contextvars.copy_context()
-        async with asyncio.TaskGroup() as tasks:
-            helper.enter(tasks)
-            helper.start(works.endless, context)
-            helper.start(works.short, context)
-            await asyncio.sleep(1.0)
-            helper.enter(None)
-            helper.start(works.short, context)
-        return works.started
-
-    assert run_virtual(run()) == ["endless"]
+@virtual
+async def test_one_task_works_at_a_time() -> None:
+    helper, works, context = Helper("test", lambda: False), Works(), contextvars.copy_context()
+    async with asyncio.TaskGroup() as tasks:
+        helper.enter(tasks)
+        helper.start(works.endless, context)
+        helper.start(works.short, context)
+        await asyncio.sleep(1.0)
+        helper.enter(None)
+        helper.start(works.short, context)
+    assert works.started == ["endless"]
 
 
-def test_task_that_starts_in_the_turn_in_which_one_ended_is_cancelled_at_the_end() -> None:
-    async def run() -> list[str]:
-        helper, works, context = Helper("test", lambda: False), Works(), contextvars.copy_context()
-        async with asyncio.TaskGroup() as tasks:
-            helper.enter(tasks)
-            helper.start(works.short, context)
-            asyncio.get_running_loop().call_soon(helper.start, works.endless, context)
-            await asyncio.sleep(1.0)
-            helper.enter(None)
-        return works.started
-
-    assert run_virtual(run()) == ["short", "endless"]
+@virtual
+async def test_task_that_starts_in_the_turn_in_which_one_ended_is_cancelled_at_the_end() -> None:
+    helper, works, context = Helper("test", lambda: False), Works(), contextvars.copy_context()
+    async with asyncio.TaskGroup() as tasks:
+        helper.enter(tasks)
+        helper.start(works.short, context)
+        asyncio.get_running_loop().call_soon(helper.start, works.endless, context)
+        await asyncio.sleep(1.0)
+        helper.enter(None)
+    assert works.started == ["short", "endless"]
 
 
 @pytest.mark.parametrize("is_over", [True, False])

@@ -19,7 +19,7 @@ from hostlink.protocol.events import Event
 from hostlink.protocol.frame import encode
 from hostlink.protocol.session import Session
 from tests.support.memory_transport import memory_pair
-from tests.support.virtual_loop import VirtualLoop, run_virtual
+from tests.support.virtual_loop import VirtualLoop, virtual
 
 FRAME = encode(999, b"")
 
@@ -47,63 +47,56 @@ def test_many_short_frames_after_long_ones_are_read_in_parts() -> None:
     assert not is_crowded(encode(125, b"\xff" * 4000))
 
 
-def test_expensive_frames_after_cheap_ones_delay_others_by_one_first_piece() -> None:
+@virtual
+async def test_expensive_frames_after_cheap_ones_delay_others_by_one_first_piece() -> None:
     """A device enlarges its pieces with cheap frames, then sends expensive ones."""
     cost_s, cheap_s = 0.0001, 0.00001
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    virtual, frames = loop, 0
 
-    async def run() -> list[float]:
-        loop = asyncio.get_running_loop()
-        assert isinstance(loop, VirtualLoop)
-        virtual, frames = loop, 0
+    def burn(_link: Link, _event: Event) -> None:
+        nonlocal frames
+        frames += 1
+        virtual.burn(cheap_s if 1 < frames <= 1 + 200 else cost_s)
 
-        def burn(_link: Link, _event: Event) -> None:
-            nonlocal frames
-            frames += 1
-            virtual.burn(cheap_s if 1 < frames <= 1 + 200 else cost_s)
-
-        host, device = memory_pair(room_bytes=1 << 20)
-        link = Link(host, Session(check=lambda _: None), LinkConfig(), number=1, on_event=burn, share=FairShare())
-        running = loop.create_task(link.run())
-        await device.send(encode(999, bytes(1000)) * 200 + FRAME * 3000)
-        turns_s, before_s = [], loop.time()
-        while link.session.counts.frames_from_device < 3200:
-            await asyncio.sleep(0)
-            turns_s.append(loop.time() - before_s)
-            before_s = loop.time()
-        assert link.unread_bytes == 0
-        await device.aclose()
-        await running
-        return turns_s
-
-    assert max(run_virtual(run())) <= (MOST_FRAMES + 4) * cost_s
+    host, device = memory_pair(room_bytes=1 << 20)
+    link = Link(host, Session(check=lambda _: None), LinkConfig(), number=1, on_event=burn, share=FairShare())
+    running = loop.create_task(link.run())
+    await device.send(encode(999, bytes(1000)) * 200 + FRAME * 3000)
+    turns_s, before_s = [], loop.time()
+    while link.session.counts.frames_from_device < 3200:
+        await asyncio.sleep(0)
+        turns_s.append(loop.time() - before_s)
+        before_s = loop.time()
+    assert link.unread_bytes == 0
+    await device.aclose()
+    await running
+    assert max(turns_s) <= (MOST_FRAMES + 4) * cost_s
 
 
-def test_flood_of_expensive_frames_yields_the_loop_each_millisecond() -> None:
+@virtual
+async def test_flood_of_expensive_frames_yields_the_loop_each_millisecond() -> None:
     cost_s = 0.0001  # of a refused request
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    virtual = loop
 
-    async def run() -> list[float]:
-        loop = asyncio.get_running_loop()
-        assert isinstance(loop, VirtualLoop)
-        virtual = loop
+    def burn(_link: Link, _event: Event) -> None:
+        virtual.burn(cost_s)
 
-        def burn(_link: Link, _event: Event) -> None:
-            virtual.burn(cost_s)
-
-        host, device = memory_pair(room_bytes=1 << 20)
-        link = Link(
-            host, Session(check=lambda _: None), LinkConfig(), number=1, on_event=burn, share=FairShare()
-        )  # fmt: skip
-        running = loop.create_task(link.run())
-        await device.send(FRAME * 3000)
-        turns_s, before_s = [], loop.time()
-        while link.session.counts.frames_from_device < 3000:
-            await asyncio.sleep(0)
-            turns_s.append(loop.time() - before_s)
-            before_s = loop.time()
-        await device.aclose()
-        await running
-        return turns_s
-
-    turns_s = run_virtual(run())
+    host, device = memory_pair(room_bytes=1 << 20)
+    link = Link(
+        host, Session(check=lambda _: None), LinkConfig(), number=1, on_event=burn, share=FairShare()
+    )  # fmt: skip
+    running = loop.create_task(link.run())
+    await device.send(FRAME * 3000)
+    turns_s, before_s = [], loop.time()
+    while link.session.counts.frames_from_device < 3000:
+        await asyncio.sleep(0)
+        turns_s.append(loop.time() - before_s)
+        before_s = loop.time()
+    await device.aclose()
+    await running
     assert max(turns_s) > 0.005  # the cost of the first piece is unknown
     assert sorted(turns_s)[-20] <= LEAST_BYTES / len(FRAME) * cost_s + 2 * cost_s

@@ -12,7 +12,7 @@ from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.session_host import LED, ODOMETRY, TIME, check, wire
-from tests.support.virtual_loop import VirtualLoop, run_virtual
+from tests.support.virtual_loop import VirtualLoop, run_virtual, virtual
 
 ANNOUNCEMENT = TIME + wire(ODOMETRY, LED) + TIME
 
@@ -114,28 +114,25 @@ def test_half_a_frame_is_not_given_up_while_the_host_is_paused() -> None:
     assert session.counts.skipped_bytes == 0
 
 
-def test_silence_of_a_dead_device_ends_its_link_after_the_pause() -> None:
+@virtual
+async def test_silence_of_a_dead_device_ends_its_link_after_the_pause() -> None:
     """The time before the pause counts: half a second."""
-
-    async def run() -> tuple[LinkEnd, float]:
-        loop = asyncio.get_running_loop()
-        assert isinstance(loop, VirtualLoop)
-        watch = StallWatch(lambda: 0.0)
-        transport, device = memory_pair()
-        link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=_ignore, pauses=watch.pauses)
-        async with asyncio.TaskGroup() as tasks:
-            running = tasks.create_task(link.run())
-            await live(device, time_requests=2)
-            await asyncio.sleep(0.5)
-            watch.beat(loop.time())
-            loop.burn(20.0)
-            resumed_s = loop.time()
-            beating = tasks.create_task(_beat(watch))
-            end = await running
-            beating.cancel()
-        return end, loop.time() - resumed_s
-
-    end, lasted_s = run_virtual(run())
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    watch = StallWatch(lambda: 0.0)
+    transport, device = memory_pair()
+    link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=_ignore, pauses=watch.pauses)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(link.run())
+        await live(device, time_requests=2)
+        await asyncio.sleep(0.5)
+        watch.beat(loop.time())
+        loop.burn(20.0)
+        resumed_s = loop.time()
+        beating = tasks.create_task(_beat(watch))
+        end = await running
+        beating.cancel()
+    lasted_s = loop.time() - resumed_s
     assert end is LinkEnd.IDLE
     assert lasted_s == pytest.approx(4.5, abs=0.2)
 

@@ -24,14 +24,14 @@ def announcement(name: str) -> bytes:
     return b"".join([TIME, *infos, TIME])
 
 
-async def come(acceptor: TcpAcceptor, address: str, name: str) -> MemoryTransport:
+async def come(hub: Hub, acceptor: TcpAcceptor, address: str, name: str) -> MemoryTransport:
     """Connect a device that announces the robot of that name."""
     host, device = memory_pair(address=address)
     acceptor.accept(host)
     try:
         await device.send(announcement(name))
     except ConnectionResetError:
-        assert acceptor._hub.counts.refused  # the device was refused
+        assert hub.counts.refused  # the device was refused
     await asyncio.sleep(0.1)
     return device
 
@@ -47,15 +47,15 @@ async def one_too_many() -> Hub:
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(hub.run())
         await hub.is_running.wait()
-        owner = await come(acceptor, OWNER, "robot_0")
+        owner = await come(hub, acceptor, OWNER, "robot_0")
         hub.robots.find("robot_0").lock("a person is near")
         await owner.aclose()
         for _ in range(10):
-            await come(acceptor, OTHER, "robot_1")
+            await come(hub, acceptor, OTHER, "robot_1")
         assert connected(hub) == []
         hub.robots.find("robot_0").unlock()
         await asyncio.sleep(PAUSE_S)
-        await come(acceptor, OTHER, "robot_1")
+        await come(hub, acceptor, OTHER, "robot_1")
         assert connected(hub) == [OTHER]
         assert [robot.name for robot in hub.robots.all()] == ["robot_1"]
         running.cancel()

@@ -7,7 +7,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import ConfigError, WrongType
-from hostlink.messages.catalog import Catalog, read_full_definition
+from hostlink.messages.catalog import Catalog, decode_clock, read_full_definition
 from hostlink.messages.fields import Constant
 from hostlink.messages.message_type import MessageType, ServiceType
 
@@ -340,3 +340,12 @@ def test_names_of_all_types_are_sorted(tmp_path: Path) -> None:
 )
 def test_has_time_includes_nested_types(catalog: Catalog, name: str, has_time: bool) -> None:
     assert message(catalog, name).has_time == has_time
+
+
+def test_clock_message_is_its_time_in_nanoseconds() -> None:
+    assert decode_clock(bytes.fromhex("02000000 03000000")) == 2_000_000_003
+
+
+@pytest.mark.parametrize("payload", [b"", bytes(7), bytes(9)])
+def test_payload_of_another_length_decodes_to_none(payload: bytes) -> None:
+    assert decode_clock(payload) is None

@@ -13,7 +13,6 @@ from hostlink.messages.message_type import MessageType
 @pytest.fixture(scope="module")
 def trigger() -> MessageType:
     service = Catalog().service("std_srvs/Trigger")
-    assert service is not None
     return service.response
 
 
@@ -21,7 +20,6 @@ def trigger() -> MessageType:
 def parameter() -> MessageType:
     """Return a message with three lists and no text."""
     service = Catalog().service("rosserial_msgs/RequestParam")
-    assert service is not None
     return service.response
 
 
@@ -44,7 +42,6 @@ def test_shortened_text_ends_at_a_character(trigger: MessageType) -> None:
 
 def test_longest_text_is_cut_first() -> None:
     header = Catalog().message("rosgraph_msgs/Log")
-    assert header is not None
     payload = encode_within(header, {"name": "n" * 10, "msg": "m" * 50, "function": "f" * 20}, 72)
     assert payload is not None
     found = header.decode(payload)
@@ -69,7 +66,6 @@ def test_message_of_another_type_is_refused(trigger: MessageType) -> None:
 @given(st.text(max_size=60), st.integers(0, 80))
 def test_shortened_message_uses_the_limit_and_never_exceeds_it(text: str, limit_bytes: int) -> None:
     service = Catalog().service("std_srvs/Trigger")
-    assert service is not None
     payload = encode_within(service.response, {"message": text}, limit_bytes)
     if limit_bytes < 5:
         assert payload is None

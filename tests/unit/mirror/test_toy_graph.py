@@ -17,6 +17,7 @@ from hostlink.mirror.inbox import ThreadInbox
 from hostlink.mirror.log_once import LogOnce
 from hostlink.mirror.mirror import Mirror
 from tests.support.fake_device import CATALOG
+from tests.support.participants import text
 from tests.support.virtual_loop import run_virtual
 
 STRING = "std_msgs/String"
@@ -111,18 +112,12 @@ def with_toy(test: Callable[[Hub, ToyGraph, ToyBridge], Any]) -> None:
     run_virtual(run())
 
 
-def string(text: str) -> bytes:
-    known = CATALOG.message(STRING)
-    assert known is not None
-    return known.encode({"data": text})
-
-
 def test_toy_graph_receives_topic_of_hub_until_publisher_leaves() -> None:
     async def test(hub: Hub, graph: ToyGraph, _: ToyBridge) -> None:
         program = hub.join("program")
         program.advertise("/chatter", STRING)
         await asyncio.sleep(0.1)
-        program.publish("/chatter", string("one"))
+        program.publish("/chatter", text("one"))
         program.leave()
         await asyncio.sleep(0.1)
         hub.join("another program").subscribe("/chatter", lambda _: None)
@@ -140,7 +135,7 @@ def test_hub_receives_topic_of_toy_graph_until_it_is_withdrawn() -> None:
         graph.on_change()
         graph.readers["/toy/text"]('{"data": "hello"}')
         await asyncio.sleep(0.1)
-        assert received == [string("hello")]
+        assert received == [text("hello")]
         del graph.publishers["/toy/text"]
         graph.on_change()
         assert graph.readers == {}

@@ -144,16 +144,6 @@ def test_damage_during_a_negotiation_causes_a_request() -> None:
     assert host.requests() == []
 
 
-def test_five_seconds_without_a_time_request_cause_a_request() -> None:
-    host = Host(ODOMETRY)
-    for _ in range(3):
-        host.wait(2.5)
-        assert host.requests() == []
-        host.receive(TIME)
-    host.wait(5.1)
-    assert host.requests() == ["no_time_requests"]
-
-
 def test_line_of_the_log_between_topics_ends_no_negotiation() -> None:
     """A passthrough that reports its signal strength inserts a log line after any frame of the device."""
     host = Host()
@@ -222,13 +212,6 @@ def test_second_negotiation_replaces_the_first() -> None:
         host.session.publish("/led", b"\x01")
 
 
-def test_negotiation_that_changes_ids_drops_frames_for_the_old_ones() -> None:
-    host = Host(ODOMETRY, LED)
-    host.session.publish("/led", b"\x01")
-    host.receive(wire(ODOMETRY, TEXT._replace(topic_id=100)) + TIME)
-    assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
-
-
 def test_dropped_frames_are_reported_as_change_though_the_topics_are_the_same() -> None:
     """The receiver of TopicsNegotiated sends a zero velocity if a queued one was dropped."""
     host = Host(ODOMETRY, TEXT._replace(topic_id=100), LED)
@@ -236,12 +219,6 @@ def test_dropped_frames_are_reported_as_change_though_the_topics_are_the_same() 
     found = host.receive(TIME + wire(ODOMETRY, TEXT._replace(topic_id=100), LED) + TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
     assert [event.is_changed for event in found if isinstance(event, events.TopicsNegotiated)] == [True]
-
-
-def test_repeated_topics_change_nothing() -> None:
-    host = Host(ODOMETRY, LED)
-    found = host.receive(TIME + wire(ODOMETRY, LED) + TIME)
-    assert [event.is_changed for event in found if isinstance(event, events.TopicsNegotiated)] == [False]
 
 
 @pytest.mark.parametrize(
@@ -261,13 +238,6 @@ def test_message_that_a_device_cannot_receive_is_refused_before_it_is_queued(
         host.session.publish(topic, payload)
     assert str(caught.value) == text
     assert host.sent() == []
-
-
-def test_device_without_announced_buffer_has_the_default() -> None:
-    host = Host(TEXT._replace(topic_id=100, buffer_bytes=0))
-    host.session.publish("/text", bytes(DEFAULT_BUFFER_BYTES - 8))
-    with pytest.raises(FrameTooLarge):
-        host.session.publish("/text", bytes(DEFAULT_BUFFER_BYTES - 7))
 
 
 def test_refused_topic_leaves_no_cycle_for_the_garbage_collector() -> None:
@@ -388,14 +358,6 @@ def test_pop_frame_waits_for_a_paced_device() -> None:
     assert session.outbox.wait_s(0.0) is None
 
 
-def test_stop_is_the_last_frame() -> None:
-    host = Host(ODOMETRY, LED)
-    host.session.publish("/led", b"\x00", is_urgent=True)
-    host.session.stop()
-    assert [frame.topic_id for frame in host.sent()] == [100, Id.STOP]
-    assert host.session.outbox.replaced == 0
-
-
 def test_long_message_is_refused_while_the_robot_moves() -> None:
     text = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
     service = TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 102, "/service", "x/Y", "m", 512)
@@ -429,13 +391,6 @@ def test_longest_frame_to_the_device_is_its_largest_buffer() -> None:
     assert Host().session.longest_to_device_bytes == DEFAULT_BUFFER_BYTES
     host = Host(ODOMETRY, LED)
     assert host.session.longest_to_device_bytes == LED.buffer_bytes
-
-
-def test_is_stopped_after_stop() -> None:
-    host = Host(LED)
-    assert not host.session.outbox.is_stopped
-    host.session.stop()
-    assert host.session.outbox.is_stopped
 
 
 def test_last_frame_is_dropped_when_its_id_has_a_new_meaning() -> None:

@@ -19,22 +19,6 @@ def frames(stream: FrameStream, *reads: bytes) -> list[Frame]:
 
 
 @pytest.mark.parametrize(
-    "reads",
-    [
-        [WIRE_A + WIRE_B],
-        [WIRE_A, WIRE_B],
-        [bytes([byte]) for byte in WIRE_A + WIRE_B],
-        [WIRE_A[:3], WIRE_A[3:] + WIRE_B],
-    ],
-    ids=["merged", "apart", "bytes", "in a header"],
-)
-def test_frames_are_read_for_every_cut(reads: list[bytes]) -> None:
-    stream = FrameStream()
-    assert events(stream, *reads) == [A, B]
-    assert len(stream.pending) == 0
-
-
-@pytest.mark.parametrize(
     "junk",
     [
         b"x",
@@ -51,11 +35,6 @@ def test_frames_are_read_for_every_cut(reads: list[bytes]) -> None:
 def test_good_frame_after_junk_is_found(junk: bytes) -> None:
     stream = FrameStream()
     assert events(stream, junk + WIRE_A) == [Skipped(junk), A]
-
-
-@pytest.mark.parametrize("payload", [b"ab\xff\xfecd", b"\xff\xfe\x01\x00\xfe\x7d\x00x?", b"\xff\xfe\x00\x10\xef"])
-def test_payload_may_contain_the_start_of_a_frame(payload: bytes) -> None:
-    assert events(FrameStream(), encode(125, payload) + WIRE_B) == [Frame(125, payload), B]
 
 
 def test_rejected_syncs_inside_a_right_frame_are_not_counted() -> None:
@@ -97,12 +76,6 @@ def test_frame_inside_a_false_frame_is_found_at_once() -> None:
     stream = FrameStream()
     false_header = b"\xff\xfe\xe8\x03\x14\x7d\x00"
     assert frames(stream, false_header + WIRE_A) == [A]
-
-
-def test_nested_frame_is_read_the_same_for_every_cut() -> None:
-    outer = encode(130, b"xx" + WIRE_A + b"yy")
-    whole = frames(FrameStream(), outer)
-    assert whole == frames(FrameStream(), *[bytes([byte]) for byte in outer]) == [A]
 
 
 def test_nested_false_headers_are_skipped() -> None:

@@ -66,7 +66,6 @@ async def test_incident_is_saved_with_what_came_before_it_when_the_daemon_ends(t
         assert (list(box.pending), saved(tmp_path)) == ([incident], [])
     (path,) = saved(tmp_path)
     found = read_incident(path)
-    assert found is not None
     assert (found.robot, found.cause, found.detail) == (ROBOT, "requested", "x" * MAX_DETAIL)
     assert [each.payload for each in McapReader(path).messages(lambda channel: channel.topic == TEXT)] == [
         b"\2\0\0\0hi"
@@ -102,7 +101,6 @@ async def test_lock_is_saved_after_the_time_after_it(tmp_path: Path) -> None:
         assert list(box.pending) == []
         (path,) = saved(tmp_path)
         found = read_incident(path)
-        assert found is not None
         assert (found.cause, found.detail) == ("locked", "a hand in the wheel")
         topics = {each.channel.topic for each in McapReader(path).messages()}
         assert {TEXT, "/hostlink/events"} <= topics

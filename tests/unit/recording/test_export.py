@@ -58,7 +58,6 @@ def recording(tmp_path: Path, catalog: Catalog) -> Path:
     for number in range(5):
         for topic, name, fields in messages:
             type_ = catalog.message(name)
-            assert type_ is not None
             channel = ros_channel(topic, name, type_, is_latched=False, robot="robot_0", origin="device")
             writer.write(channel, BEGIN_NS + number * STEP_NS, type_.encode(fields))
     writer.write(EVENTS, BEGIN_NS, as_text(b'{"kind": "locked"}'))
@@ -141,7 +140,6 @@ def test_payloads_that_are_not_messages_are_left_out_and_counted_with_the_reason
     tmp_path: Path, catalog: Catalog
 ) -> None:
     text = catalog.message("std_msgs/String")
-    assert text is not None
     bad = b"\xff\xff\xff\xffx"
     path = write(tmp_path / "run.mcap", [("/text", text, each) for each in (bad, text.encode({"data": "a"}), bad)])
     done = export_ros(McapReader(path), tmp_path / "bag", RosFormat.ROS2_MCAP)
@@ -261,8 +259,6 @@ def test_events_have_a_column_for_every_fact(tmp_path: Path) -> None:
 
 def test_every_topic_and_type_has_its_own_file(tmp_path: Path, catalog: Catalog) -> None:
     text, number = (catalog.message(f"std_msgs/{name}") for name in ("String", "UInt8"))
-    assert text is not None
-    assert number is not None
     one, other = text.encode({"data": "a"}), number.encode({"data": 7})
     long = "/" + "x" * 5000
     names = ("/a/b", "/a.b", "/A/b", "/a//b", "..", "/", long)

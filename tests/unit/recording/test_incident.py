@@ -82,7 +82,6 @@ def test_pause_of_the_host_is_one_incident_that_names_the_host() -> None:
     rules = IncidentRules()
     rules.observe(commanded(FAST))
     found = rules.observe(stopped("hostlink did not run"))
-    assert found is not None
     assert (found.cause, found.detail) == ("lease", "hostlink did not run while pilot drove")
     assert rules.observe(event(EventKind.LOGGED, 0.1, link=1, level=2, text="no command for 500 ms: stopped")) is None
 

@@ -25,6 +25,7 @@ from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.plot import read_lines, read_paths
 from hostlink.recording.reader import contents_of, open_source
 from hostlink.recording.tables import read
+from tests.support.fake_device import message_type
 from tests.support.foreign_recordings import (
     BEGIN_NS,
     COUNT,
@@ -174,8 +175,7 @@ def test_definition_in_idl_is_read(tmp_path: Path) -> None:
 
 def ours(path: Path) -> Path:
     """Write a recording with every kind of channel that hostlink writes."""
-    pose = CATALOG.message("geometry_msgs/Pose2D")
-    assert pose is not None
+    pose = message_type("geometry_msgs/Pose2D")
     writer = McapWriter(path, metadata={"owner": "test"})
     channel = ros_channel("/robot_0/odometry", pose.name, pose, is_latched=False, robot="robot_0", origin="device")
     writer.write(EVENTS, BEGIN_NS, as_text(b'{"kind": "locked", "robot": "robot_0", "facts": {}}'))
@@ -211,8 +211,7 @@ def test_snippet_of_the_document_reads_a_recording(
 
 
 def test_texts_of_hostlink_are_the_catalogs_type() -> None:
-    text = CATALOG.message("std_msgs/String")
-    assert text is not None
+    text = message_type("std_msgs/String")
     assert (EVENTS.type_name, EVENTS.schema, TEXT_MD5) == (text.name, text.full_definition, text.md5)
 
 

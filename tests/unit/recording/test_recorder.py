@@ -14,7 +14,7 @@ from hostlink.recording.recorder import Recorder, TopicSelection
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG
 from tests.support.remote_robots import remote_robot
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, virtual
 
 TYPE = "std_msgs/Bool"
 VELOCITY, TWIST = PlanarVelocity(0.1, 0.2, 0.3), Twist(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -45,33 +45,31 @@ class Counted(TopicSelection):
         return super().has(topic, robot)
 
 
-def test_connecting_robot_costs_a_recorder_only_its_own_topics() -> None:
-    async def run() -> tuple[list[str], list[str], list[str]]:
-        hub, kept, selection = Hub(Config(), CATALOG, reraises=True), Kept(), Counted()
-        for number in range(300):
-            robot = hub.join(f"robot_{number}")
-            for topic in range(10):
-                robot.advertise(f"/robot_{number}/{topic}", TYPE)
-        recorder = Recorder(hub, kept, selection)
-        recorder.start()
-        await asyncio.sleep(2 * LATEST_S)
-        assert len(recorder.topics) >= 3000
-        selection.asked.clear()
-        new = hub.join("new")
-        new.advertise("/new/topic", TYPE)
-        await asyncio.sleep(2 * LATEST_S)
-        came = [name for name in recorder.topics if name.startswith("/new")]
-        new.publish("/new/topic", b"\1")
-        assert kept.payloads[-1:] == [b"\1"]
-        new.leave()
-        await asyncio.sleep(2 * LATEST_S)
-        recorder.stop()
-        return selection.asked, came, [name for name in recorder.topics if name.startswith("/new")]
-
-    asked, came, left = run_virtual(run())
+@virtual
+async def test_connecting_robot_costs_a_recorder_only_its_own_topics() -> None:
+    hub, kept, selection = Hub(Config(), CATALOG, reraises=True), Kept(), Counted()
+    for number in range(300):
+        robot = hub.join(f"robot_{number}")
+        for topic in range(10):
+            robot.advertise(f"/robot_{number}/{topic}", TYPE)
+    recorder = Recorder(hub, kept, selection)
+    recorder.start()
+    await asyncio.sleep(2 * LATEST_S)
+    assert len(recorder.topics) >= 3000
+    selection.asked.clear()
+    new = hub.join("new")
+    new.advertise("/new/topic", TYPE)
+    await asyncio.sleep(2 * LATEST_S)
+    came = [name for name in recorder.topics if name.startswith("/new")]
+    new.publish("/new/topic", b"\1")
+    assert kept.payloads[-1:] == [b"\1"]
+    new.leave()
+    await asyncio.sleep(2 * LATEST_S)
+    recorder.stop()
+    left = [name for name in recorder.topics if name.startswith("/new")]
     assert (came, left) == (["/new/topic"], [])
-    assert set(asked) == {"/new/topic"}
-    assert len(asked) <= 4
+    assert set(selection.asked) == {"/new/topic"}
+    assert len(selection.asked) <= 4
 
 
 def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
@@ -89,17 +87,14 @@ def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
     assert event == {"kind": "commanded", "robot": "robot_0", "facts": facts}
 
 
-def test_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:
-    async def run() -> tuple[list[str], list[str]]:
-        hub = Hub(Config(), CATALOG, reraises=True)
-        hub.join("program").advertise("/robot_7/plan", TYPE)
-        recorder = Recorder(hub, Kept(), TopicSelection(robots=("robot_7",)))
-        recorder.start()
-        await asyncio.sleep(2 * LATEST_S)
-        before = recorder.topics
-        hub.robots.put_remote(remote_robot(hub, "robot_7"))
-        await asyncio.sleep(2 * LATEST_S)
-        return before, recorder.topics
-
-    before, after = run_virtual(run())
-    assert (before, after) == ([], ["/robot_7/plan"])
+@virtual
+async def test_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:
+    hub = Hub(Config(), CATALOG, reraises=True)
+    hub.join("program").advertise("/robot_7/plan", TYPE)
+    recorder = Recorder(hub, Kept(), TopicSelection(robots=("robot_7",)))
+    recorder.start()
+    await asyncio.sleep(2 * LATEST_S)
+    before = recorder.topics
+    hub.robots.put_remote(remote_robot(hub, "robot_7"))
+    await asyncio.sleep(2 * LATEST_S)
+    assert (before, recorder.topics) == ([], ["/robot_7/plan"])

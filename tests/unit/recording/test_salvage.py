@@ -72,7 +72,6 @@ def test_process_that_died_while_driving_is_an_incident_with_its_last_messages(
     process.command(2)
     process.pose(3)
     found = salvage(process.gone())
-    assert found is not None
     ((incident, file),) = found.saved
     assert (incident.robot, incident.cause, incident.stamp_ns) == ("robot_0", "daemon_died", 3 * S)
     assert "ann drove it" in incident.detail
@@ -129,7 +128,6 @@ def test_salvage_that_is_interrupted_is_continued_by_the_next(process: Process, 
         salvage(process.gone(), rest=interrupt)
     assert list((tmp_path / "incidents").iterdir()) == []
     found = salvage(process.folder)
-    assert found is not None
     assert len(found.saved) == 2
     assert [detail.split()[0] for detail in details(tmp_path)] == ["daemon_died", "requested"]
 

@@ -26,7 +26,6 @@ COUNT = 480  # ten messages a second
 CHUNK_OF = 7
 BEGIN_NS = 1_700_000_000 * NS_PER_S
 POSE = Catalog().message("geometry_msgs/Pose2D")
-assert POSE is not None
 ODOMETRY = ros_channel("/robot_0/odometry", POSE.name, POSE, is_latched=False, robot="robot_0", origin=DEVICE)
 SECONDS = [number / 10 for number in range(COUNT)]
 JUMPS = [
@@ -42,7 +41,6 @@ def wall_ns(second: float, jump_s: float) -> int:
 
 
 def pose(second: float) -> bytes:
-    assert POSE is not None
     return POSE.encode({"x": second / 100})
 
 

@@ -11,6 +11,7 @@ from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, as_text, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
+from tests.support.fake_device import message_type
 
 CATALOG = Catalog()
 BEGIN_NS = 1_700_000_000_000_000_000
@@ -20,8 +21,7 @@ def write(path: Path, *messages: tuple[str, str, dict[str, Any]], is_finished: b
     """Write (topic, type, fields) at intervals of a tenth of a second."""
     writer = McapWriter(path, metadata={"owner": "test"})
     for number, (topic, type_name, fields) in enumerate(messages):
-        type_ = CATALOG.message(type_name)
-        assert type_ is not None
+        type_ = message_type(type_name)
         channel = ros_channel(topic, type_name, type_, is_latched=False)
         writer.write(channel, BEGIN_NS + number * 100_000_000, type_.encode(fields))
     writer.end_chunk()

@@ -106,7 +106,6 @@ def test_a_loop_with_the_new_gains_follows_better_and_does_not_swing() -> None:
 
 def test_only_the_part_that_is_driven_counts() -> None:
     observed = drive()
-    assert observed.pwm is not None
     observed.pwm[:10] = np.where(np.arange(10) % 2, 700.0, 0.0)  # below its least PWM a robot drives and brakes in turn
     observed.pwm[10:] = np.maximum(observed.pwm[10:], 710.0)
     assert len(driven_part(observed).t_s) == len(observed.t_s) - 10

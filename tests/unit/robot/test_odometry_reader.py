@@ -8,20 +8,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hostlink.errors import BadPayload
-from hostlink.messages.message_type import MessageType
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import ODOMETRY_TYPE, POSE_TYPE, READERS, OdometryEstimator, OdometryReading
 from hostlink.robot.velocity import PlanarVelocity
-from tests.support.fake_device import CATALOG
+from tests.support.fake_device import message_type
 
 texts = st.text(max_size=20)
 floats = st.floats()
-
-
-def type_of(name: str) -> MessageType:
-    found = CATALOG.message(name)
-    assert found is not None
-    return found
 
 
 def odometry(yaw_rad: float = 0.0, twist: PlanarVelocity | None = None, length: float = 1.0) -> dict[str, Any]:
@@ -34,7 +27,7 @@ def odometry(yaw_rad: float = 0.0, twist: PlanarVelocity | None = None, length: 
 
 
 def read(type_name: str, message: dict[str, Any]) -> OdometryReading:
-    return READERS[type_name](type_of(type_name).encode(message))
+    return READERS[type_name](message_type(type_name).encode(message))
 
 
 def updated(reading: OdometryReading) -> OdometryEstimator:
@@ -59,7 +52,6 @@ def test_an_odometry_has_pose_and_twist_also_with_a_quaternion_of_any_length(yaw
 
 def test_a_twist_of_no_numbers_is_estimated_from_the_poses() -> None:
     observed = updated(read(ODOMETRY_TYPE, odometry(0.0, PlanarVelocity(math.nan, yaw_rad_s=0.0)))).snapshot(0.0)
-    assert observed is not None
     assert observed.twist == PlanarVelocity()
 
 
@@ -76,7 +68,6 @@ def test_an_odometry_is_read_as_the_full_decode_has_it(
         "twist": {"twist": {"linear": linear, "angular": angular}, "covariance": [0.25] * 36},
     }
     reading = read(ODOMETRY_TYPE, message)
-    assert reading.twist is not None
     found = (reading.pose.x_m, reading.pose.y_m, *reading.twist)
     assert repr(found) == repr(
         (numbers[0], numbers[1], numbers[7], numbers[8], numbers[10])
@@ -91,7 +82,6 @@ def test_any_pose2d_leaves_finite_numbers(x: float, y: float, theta: float) -> N
     estimator = updated(read(POSE_TYPE, {"x": 0.1, "y": 0.2, "theta": 0.3}))
     estimator.update(read(POSE_TYPE, {"x": x, "y": y, "theta": theta}).pose, now_s=0.4, wall_ns=0)
     observed = estimator.snapshot(0.4)
-    assert observed is not None
     assert all(map(math.isfinite, observed.pose))
 
 
@@ -104,7 +94,7 @@ def test_any_pose2d_leaves_finite_numbers(x: float, y: float, theta: float) -> N
 @example(ODOMETRY_TYPE, bytes(701))
 def test_reader_refuses_exactly_the_payloads_that_the_full_decode_refuses(type_name: str, payload: bytes) -> None:
     try:
-        type_of(type_name).decode(payload)
+        message_type(type_name).decode(payload)
     except BadPayload:
         with pytest.raises(BadPayload, match=type_name):
             READERS[type_name](payload)

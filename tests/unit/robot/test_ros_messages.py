@@ -10,6 +10,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.ros_messages import UNMEASURED, FrameIds, Variances, odometry_of, transform_of, variances_of
 from hostlink.robot.velocity import PlanarVelocity
+from tests.support.fake_device import message_type
 
 FRAMES = FrameIds("odom", "base_link")
 STAMP = {"secs": 1_700_000_000, "nsecs": 5}
@@ -18,8 +19,7 @@ READER = get_typestore(Stores.ROS1_NOETIC)
 
 
 def test_an_odometry_is_read_by_an_independent_reader() -> None:
-    type_ = CATALOG.message("nav_msgs/Odometry")
-    assert type_ is not None
+    type_ = message_type("nav_msgs/Odometry")
     message = odometry_of(Pose(1.0, -2.0, math.pi / 2), PlanarVelocity(0.3, 0.1, -0.5), FRAMES, STAMP)
     read = READER.deserialize_ros1(type_.encode(message), "nav_msgs/msg/Odometry")
     assert (read.header.stamp.sec, read.header.stamp.nanosec) == (1_700_000_000, 5)
@@ -50,8 +50,7 @@ def test_covariances_have_their_places_in_the_matrix() -> None:
 
 def test_a_transform_has_the_same_pose() -> None:
     odometry = odometry_of(Pose(1.0, 2.0, 0.5), PlanarVelocity(), FrameIds("r/odom", "r/base_link"), STAMP)
-    type_ = CATALOG.message("tf2_msgs/TFMessage")
-    assert type_ is not None
+    type_ = message_type("tf2_msgs/TFMessage")
     (transform,) = type_.decode(type_.encode(transform_of(odometry)))["transforms"]  # type: ignore[misc]
     assert transform["header"]["frame_id"] == "r/odom"
     assert transform["child_frame_id"] == "r/base_link"

@@ -11,7 +11,7 @@ from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.state import BATTERY_TYPE, DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import Kinematics, PlanarVelocity
 from hostlink.robot.views import RobotView
-from tests.support.fake_device import CATALOG
+from tests.support.fake_device import message_type
 
 EVERYTHING = RobotState(
     name="robot_0",
@@ -53,9 +53,7 @@ EVERYTHING = RobotState(
 
 
 def battery(**fields: object) -> bytes:
-    type_ = CATALOG.message(BATTERY_TYPE)
-    assert type_ is not None
-    return type_.encode(fields)
+    return message_type(BATTERY_TYPE).encode(fields)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,6 @@ def test_one_that_never_leaves_the_target_has_settled_at_once() -> None:
 def test_full_pwm_is_a_saturation_from_the_first_command_on() -> None:
     observed = step()
     assert step_figures(observed, full_pwm=1000.0).saturated_percent == 100.0
-    assert observed.pwm is not None
     observed.pwm[35:] = 500.0
     assert step_figures(observed, full_pwm=1000.0).saturated_percent == 50.0
 

@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.errors import BadPayload
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity, Twist
-from tests.support.fake_device import CATALOG
+from tests.support.fake_device import message_type
 
 FIELDS = {"linear": {"x": 1.0, "y": 2.0, "z": 2.0}, "angular": {"x": 2.0, "y": 3.0, "z": 6.0}}
 TWIST = Twist(1.0, 2.0, 2.0, 2.0, 3.0, 6.0)
@@ -14,8 +14,7 @@ VELOCITY = PlanarVelocity(3.0, 4.0, -0.5)
 
 
 def test_twist_has_the_fields_and_the_bytes_of_the_message() -> None:
-    type_ = CATALOG.message(TWIST_TYPE)
-    assert type_ is not None
+    type_ = message_type(TWIST_TYPE)
     assert Twist.from_fields(FIELDS) == TWIST
     assert TWIST.encode() == type_.encode(FIELDS)
     assert Twist.decode(type_.encode(FIELDS)) == TWIST

@@ -9,7 +9,7 @@ from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.robot.admission import LEASE_S
 from tests.support.driving import COMMAND_INTERVAL_S, REFUSED, answered, driven
 from tests.support.participants import ROBOT, Scene, play
-from tests.support.virtual_loop import VirtualLoop, run_virtual
+from tests.support.virtual_loop import VirtualLoop, inside, run_virtual
 
 STALL_S = 0.54  # of a virtual machine
 
@@ -19,41 +19,39 @@ def burn(seconds: float) -> None:
 
 
 @pytest.mark.parametrize("phase_s", [0.01, 0.05, 0.09])
-def test_driver_drives_again_after_a_pause(phase_s: float) -> None:
-    async def test(scene: Scene) -> None:
-        async with driven(scene.hub, ROBOT, 0.2) as driver:
-            await asyncio.sleep(10 * COMMAND_INTERVAL_S + phase_s)
-            assert (scene.speeds()[-1], driver.is_steady) == (0.2, True)
-            burn(STALL_S)
-            await asyncio.sleep(0.05)
-            assert scene.speeds()[-1] == 0.0
-            await asyncio.sleep(1.5)
-            assert (scene.speeds()[-1], driver.is_steady) == (0.2, False)
+@inside(play)
+async def test_driver_drives_again_after_a_pause(scene: Scene, phase_s: float) -> None:
+    async with driven(scene.hub, ROBOT, 0.2) as driver:
+        await asyncio.sleep(10 * COMMAND_INTERVAL_S + phase_s)
+        assert (scene.speeds()[-1], driver.is_steady) == (0.2, True)
+        burn(STALL_S)
         await asyncio.sleep(0.05)
         assert scene.speeds()[-1] == 0.0
-
-    play(test)
+        await asyncio.sleep(1.5)
+        assert (scene.speeds()[-1], driver.is_steady) == (0.2, False)
+    await asyncio.sleep(0.05)
+    assert scene.speeds()[-1] == 0.0
 
 
 @pytest.mark.parametrize("is_paused", [False, True])
 @pytest.mark.parametrize(("how", "kind"), [("stop", RefusalKind.DISARMED), ("lock", RefusalKind.LOCKED)])
-def test_driver_ends_the_test_after_another_refusal(how: str, kind: RefusalKind, is_paused: bool) -> None:
-    async def test(scene: Scene) -> None:
-        async def drive() -> None:
-            async with driven(scene.hub, ROBOT, 0.2):
-                await asyncio.sleep(0.3)
-                burn(STALL_S if is_paused else 0.0)
-                await asyncio.sleep(1.5)
-                getattr(scene.hub.robots.find(ROBOT), how)()
-                await asyncio.sleep(60)
+@inside(play)
+async def test_driver_ends_the_test_after_another_refusal(
+    scene: Scene, how: str, kind: RefusalKind, is_paused: bool
+) -> None:
+    async def drive() -> None:
+        async with driven(scene.hub, ROBOT, 0.2):
+            await asyncio.sleep(0.3)
+            burn(STALL_S if is_paused else 0.0)
+            await asyncio.sleep(1.5)
+            getattr(scene.hub.robots.find(ROBOT), how)()
+            await asyncio.sleep(60)
 
-        with pytest.raises(ExceptionGroup) as ended:
-            await drive()
-        (refused,) = ended.value.exceptions
-        assert isinstance(refused, CommandRefused)
-        assert refused.kind is kind
-
-    play(test)
+    with pytest.raises(ExceptionGroup) as ended:
+        await drive()
+    (refused,) = ended.value.exceptions
+    assert isinstance(refused, CommandRefused)
+    assert refused.kind is kind
 
 
 LATE, DISARMED, HELD = RefusalKind.LATE, RefusalKind.DISARMED, RefusalKind.HELD

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from tests.support.memory_transport import memory_pair
-from tests.support.virtual_loop import Deadlock, run_virtual
+from tests.support.virtual_loop import Deadlock, run_virtual, virtual
 
 HOUR_S = 3600.0
 
@@ -26,42 +26,36 @@ def test_a_year_is_more_than_the_longest_wait_of_asyncio() -> None:
     assert run_virtual(now_after(365 * 24 * HOUR_S)) == pytest.approx(365 * 24 * HOUR_S)
 
 
-def test_timers_fire_in_the_order_of_their_times() -> None:
-    async def main() -> list[float]:
-        fired: list[float] = []
+@virtual
+async def test_timers_fire_in_the_order_of_their_times() -> None:
+    fired: list[float] = []
 
-        async def fire(at_s: float) -> None:
-            fired.append(await now_after(at_s))
+    async def fire(at_s: float) -> None:
+        fired.append(await now_after(at_s))
 
-        async with asyncio.TaskGroup() as tasks:
-            for at_s in (3.0, 0.25, 7.5, 0.0):
-                tasks.create_task(fire(at_s))
-        return fired
-
-    assert run_virtual(main()) == [0.0, 0.25, 3.0, 7.5]
+    async with asyncio.TaskGroup() as tasks:
+        for at_s in (3.0, 0.25, 7.5, 0.0):
+            tasks.create_task(fire(at_s))
+    assert fired == [0.0, 0.25, 3.0, 7.5]
 
 
-def test_ready_callbacks_run_before_time_moves() -> None:
-    async def main() -> float:
-        host, device = memory_pair()
-        async with asyncio.timeout(1.0):
-            for _ in range(1000):
-                await device.send(b"x")
-                await host.receive()
-        return asyncio.get_running_loop().time()
-
-    assert run_virtual(main()) == 0.0
+@virtual
+async def test_ready_callbacks_run_before_time_moves() -> None:
+    host, device = memory_pair()
+    async with asyncio.timeout(1.0):
+        for _ in range(1000):
+            await device.send(b"x")
+            await host.receive()
+    assert asyncio.get_running_loop().time() == 0.0
 
 
-def test_a_timeout_happens_at_its_time() -> None:
-    async def main() -> float:
-        host, _ = memory_pair()
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(11.0):
-                await host.receive()
-        return asyncio.get_running_loop().time()
-
-    assert run_virtual(main()) == 11.0
+@virtual
+async def test_a_timeout_happens_at_its_time() -> None:
+    host, _ = memory_pair()
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(11.0):
+            await host.receive()
+    assert asyncio.get_running_loop().time() == 11.0
 
 
 def test_a_deadlock_names_the_tasks_and_where_they_wait() -> None:
@@ -111,10 +105,8 @@ def test_sockets_have_no_place_here() -> None:
         run_virtual(main())
 
 
-def test_work_for_a_thread_is_done_at_once() -> None:
-    async def main() -> tuple[int, float]:
-        with pytest.raises(ZeroDivisionError):
-            await asyncio.to_thread(divmod, 1, 0)
-        return await asyncio.to_thread(sum, [1, 2]), asyncio.get_running_loop().time()
-
-    assert run_virtual(main()) == (3, 0.0)
+@virtual
+async def test_work_for_a_thread_is_done_at_once() -> None:
+    with pytest.raises(ZeroDivisionError):
+        await asyncio.to_thread(divmod, 1, 0)
+    assert (await asyncio.to_thread(sum, [1, 2]), asyncio.get_running_loop().time()) == (3, 0.0)

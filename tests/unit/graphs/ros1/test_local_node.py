@@ -2,6 +2,8 @@
 
 import asyncio
 import socket
+import threading
+import time
 from typing import Any
 
 import aiohttp
@@ -15,6 +17,7 @@ from hostlink.hub.hub import Hub
 from tests.support.fake_device import CATALOG
 from tests.support.participants import Scene, play
 from tests.support.ros1.wireless import local_node
+from tests.support.virtual_loop import inside
 
 
 class AnsweredRpc(Rpc):
@@ -64,15 +67,36 @@ async def test_closed_rpc_opens_no_connection() -> None:
     assert rpc._session is None
 
 
-@pytest.mark.parametrize("size", [THREAD_BYTES, THREAD_BYTES + 1])
-async def test_large_bodies_alone_are_parsed_in_a_thread(size: int) -> None:
-    """One thread at a time: a second one would only take the interpreter from the loop."""
-    rpc = Rpc()
-    async with rpc._parsing:
-        parsing = asyncio.get_running_loop().create_task(rpc.parse(len, bytes(size)))
-        await asyncio.sleep(0.01)
-        assert parsing.done() is (size <= THREAD_BYTES)
-    assert await parsing == size
+async def test_small_body_is_parsed_at_once() -> None:
+    assert await Rpc().parse(lambda _: threading.get_ident(), bytes(THREAD_BYTES)) == threading.get_ident()
+
+
+async def test_large_bodies_are_parsed_beside_the_loop_one_at_a_time() -> None:
+    running, most, threads = 0, 0, set()
+
+    def decode(body: bytes) -> int:
+        nonlocal running, most
+        running += 1
+        most = max(most, running)
+        threads.add(threading.get_ident())
+        time.sleep(0.01)
+        running -= 1
+        return len(body)
+
+    parser = Rpc()
+    async with asyncio.TaskGroup() as tasks:
+        parsing = [tasks.create_task(parser.parse(decode, bytes(THREAD_BYTES + size))) for size in range(1, 6)]
+    assert [each.result() for each in parsing] == [THREAD_BYTES + size for size in range(1, 6)]
+    assert threading.get_ident() not in threads
+    assert most == 1
+
+
+async def test_error_of_the_decoder_is_raised() -> None:
+    def decode(_: bytes) -> None:
+        raise ValueError("none")
+
+    with pytest.raises(ValueError, match="none"):
+        await Rpc().parse(decode, bytes(2 * THREAD_BYTES))
 
 
 NO_KEY: Any = None  # of a connection
@@ -91,30 +115,26 @@ def test_reason_of_a_failed_call_is_for_people(error: Exception, reason: str) ->
     assert reason_of(error) == reason
 
 
-def test_master_is_called_with_the_name_of_the_node() -> None:
-    async def test(scene: Scene) -> None:
-        node, rpc = local_node(scene.hub, scene.tasks)
-        rpc.answer = lambda _uri, _method: "http://here:1/"
-        assert await node.find_own_uri() == "http://here:1/"
-        assert rpc.calls == [(node.master_uri, "lookupNode", ("/hostlink", "/hostlink"))]
-
-    play(test)
+@inside(play)
+async def test_master_is_called_with_the_name_of_the_node(scene: Scene) -> None:
+    node, rpc = local_node(scene.hub, scene.tasks)
+    rpc.answer = lambda _uri, _method: "http://here:1/"
+    assert await node.find_own_uri() == "http://here:1/"
+    assert rpc.calls == [(node.master_uri, "lookupNode", ("/hostlink", "/hostlink"))]
 
 
-def test_master_without_an_address_of_the_node_is_none_and_an_odd_one_is_unreachable() -> None:
-    async def test(scene: Scene) -> None:
-        node, rpc = local_node(scene.hub, scene.tasks)
+@inside(play)
+async def test_master_without_an_address_of_the_node_is_none_and_an_odd_one_is_unreachable(scene: Scene) -> None:
+    node, rpc = local_node(scene.hub, scene.tasks)
 
-        def refuse(_uri: str, _method: str) -> Any:
-            raise CallRefused("unknown node")
+    def refuse(_uri: str, _method: str) -> Any:
+        raise CallRefused("unknown node")
 
-        rpc.answer = refuse
-        assert await node.find_own_uri() is None
-        rpc.answer = lambda _uri, _method: 7
-        with pytest.raises(Unreachable):
-            await node.find_own_uri()
-
-    play(test)
+    rpc.answer = refuse
+    assert await node.find_own_uri() is None
+    rpc.answer = lambda _uri, _method: 7
+    with pytest.raises(Unreachable):
+        await node.find_own_uri()
 
 
 async def test_crash_of_a_task_ends_nothing_else_and_the_end_cancels_the_others() -> None:

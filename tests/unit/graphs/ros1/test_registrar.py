@@ -22,7 +22,7 @@ from hostlink.graphs.ros1.master import (
 )
 from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.mirror.log_once import LogOnce
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import virtual
 
 NODE, URI, SERVICE_URI = "/hostlink", "http://here:1/", "rosrpc://here:2"
 KINDS = (
@@ -159,106 +159,96 @@ STEPS = st.one_of(
 
 
 @given(st.lists(STEPS), GRAPHS)
-def test_any_history_of_master_and_hub_ends_with_what_is_wanted(steps: list[tuple[str, Any]], last: Wanted) -> None:
-    async def test() -> None:
-        world = World()
-        running = asyncio.get_running_loop().create_task(world.registrar.run())
-        for what, value in steps:
-            match what:
-                case "want":
-                    world.want(value)
-                case "forget":
-                    for name in value:
-                        for kind in KINDS:
-                            world.master.known.pop((kind, name), None)
-                case "refuse":
-                    world.master.refused = value
-                case "die":
-                    world.master.dies_after = value
-                case _:
-                    await asyncio.sleep(value)
-        world.master.refused, world.master.dies_after = set(), 1000
-        world.want(last)
-        await asyncio.sleep(SETTLED_S)
-        assert world.master.known == world.expected()
-        running.cancel()
+@virtual
+async def test_any_history_of_master_and_hub_ends_with_what_is_wanted(
+    steps: list[tuple[str, Any]], last: Wanted
+) -> None:
+    world = World()
+    running = asyncio.get_running_loop().create_task(world.registrar.run())
+    for what, value in steps:
+        match what:
+            case "want":
+                world.want(value)
+            case "forget":
+                for name in value:
+                    for kind in KINDS:
+                        world.master.known.pop((kind, name), None)
+            case "refuse":
+                world.master.refused = value
+            case "die":
+                world.master.dies_after = value
+            case _:
+                await asyncio.sleep(value)
+    world.master.refused, world.master.dies_after = set(), 1000
+    world.want(last)
+    await asyncio.sleep(SETTLED_S)
+    assert world.master.known == world.expected()
+    running.cancel()
 
-    run_virtual(test())
 
-
-def test_services_are_registered_before_topics_and_another_type_over_the_one_before() -> None:
-    async def test() -> None:
-        world = World()
-        world.want({(RegistrationKind.SERVICE, "/stop"): "x/X", (RegistrationKind.PUBLISHER, "/odom"): "x/X"})
-        running = asyncio.get_running_loop().create_task(world.registrar.run())
-        await asyncio.sleep(1.0)
-        world.want({(RegistrationKind.SERVICE, "/stop"): "x/X", (RegistrationKind.PUBLISHER, "/odom"): "x/Y"})
-        await asyncio.sleep(1.0)
-        assert world.master.calls == ["registerService", "registerPublisher", "registerPublisher"]
-        await world.registrar.end()
-        assert world.master.known == {}
-        running.cancel()
-
-    run_virtual(test())
+@virtual
+async def test_services_are_registered_before_topics_and_another_type_over_the_one_before() -> None:
+    world = World()
+    world.want({(RegistrationKind.SERVICE, "/stop"): "x/X", (RegistrationKind.PUBLISHER, "/odom"): "x/X"})
+    running = asyncio.get_running_loop().create_task(world.registrar.run())
+    await asyncio.sleep(1.0)
+    world.want({(RegistrationKind.SERVICE, "/stop"): "x/X", (RegistrationKind.PUBLISHER, "/odom"): "x/Y"})
+    await asyncio.sleep(1.0)
+    assert world.master.calls == ["registerService", "registerPublisher", "registerPublisher"]
+    await world.registrar.end()
+    assert world.master.known == {}
+    running.cancel()
 
 
 @given(st.floats(0.0, 0.1))
-def test_end_at_any_moment_leaves_nothing_at_the_master(registering_s: float) -> None:
-    async def test() -> None:
-        world = World()
-        world.master.way_s = 0.01
-        world.want({(kind, name): "x/X" for kind in KINDS for name in ("/a", "/b")})
-        running = asyncio.get_running_loop().create_task(world.registrar.run())
-        await asyncio.sleep(registering_s)
-        running.cancel()
-        await world.registrar.end()
-        assert world.master.known == {}
-
-    run_virtual(test())
+@virtual
+async def test_end_at_any_moment_leaves_nothing_at_the_master(registering_s: float) -> None:
+    world = World()
+    world.master.way_s = 0.01
+    world.want({(kind, name): "x/X" for kind in KINDS for name in ("/a", "/b")})
+    running = asyncio.get_running_loop().create_task(world.registrar.run())
+    await asyncio.sleep(registering_s)
+    running.cancel()
+    await world.registrar.end()
+    assert world.master.known == {}
 
 
-def test_end_waits_for_a_slow_master_and_gives_up_one_that_does_not_answer() -> None:
-    async def test() -> None:
-        world = await registered(["/a", "/b"])
-        now_s = asyncio.get_running_loop().time
-        world.master.way_s, began_s = 100.0, now_s()
-        await world.registrar.end()
-        assert now_s() == pytest.approx(began_s + END_TIMEOUT_S)
-        assert len(world.master.known) == 6
-        world.master.way_s = 0.15
-        world.parameters.keys = ["/a", "/b", "/c"]
-        await world.registrar.end()
-        assert (world.master.known, world.parameters.keys) == ({}, [])
-
-    run_virtual(test())
+@virtual
+async def test_end_waits_for_a_slow_master_and_gives_up_one_that_does_not_answer() -> None:
+    world = await registered(["/a", "/b"])
+    now_s = asyncio.get_running_loop().time
+    world.master.way_s, began_s = 100.0, now_s()
+    await world.registrar.end()
+    assert now_s() == pytest.approx(began_s + END_TIMEOUT_S)
+    assert len(world.master.known) == 6
+    world.master.way_s = 0.15
+    world.parameters.keys = ["/a", "/b", "/c"]
+    await world.registrar.end()
+    assert (world.master.known, world.parameters.keys) == ({}, [])
 
 
-def test_end_at_a_very_slow_master_leaves_the_daemon_most_of_the_time_for_its_end() -> None:
-    async def test() -> None:
-        world = await registered([f"/{number}" for number in range(10)])
-        now_s = asyncio.get_running_loop().time
-        world.master.way_s, began_s = 0.45, now_s()
-        await world.registrar.end()
-        assert now_s() < began_s + LONGEST_END_S / 2
-
-    run_virtual(test())
+@virtual
+async def test_end_at_a_very_slow_master_leaves_the_daemon_most_of_the_time_for_its_end() -> None:
+    world = await registered([f"/{number}" for number in range(10)])
+    now_s = asyncio.get_running_loop().time
+    world.master.way_s, began_s = 0.45, now_s()
+    await world.registrar.end()
+    assert now_s() < began_s + LONGEST_END_S / 2
 
 
-def test_name_that_the_master_refuses_is_logged_once_and_tried_again_and_affects_no_other() -> None:
-    async def test() -> None:
-        world = World()
-        world.master.refused = {"/a"}
-        world.want({(RegistrationKind.PUBLISHER, "/a"): "x/X", (RegistrationKind.PUBLISHER, "/b"): "x/X"})
-        running = asyncio.get_running_loop().create_task(world.registrar.run())
-        with capture_logs() as logs:
-            await asyncio.sleep(10 * STATE_INTERVAL_S)
-        assert list(world.master.known) == [(RegistrationKind.PUBLISHER, "/b")]
-        assert 8 <= len(world.master.calls) <= 12
-        assert [log["name"] for log in logs if log["event"] == "ros1.name_refused"] == ["/a"]
-        assert world.master.counts.re_registrations == 0
-        running.cancel()
-
-    run_virtual(test())
+@virtual
+async def test_name_that_the_master_refuses_is_logged_once_and_tried_again_and_affects_no_other() -> None:
+    world = World()
+    world.master.refused = {"/a"}
+    world.want({(RegistrationKind.PUBLISHER, "/a"): "x/X", (RegistrationKind.PUBLISHER, "/b"): "x/X"})
+    running = asyncio.get_running_loop().create_task(world.registrar.run())
+    with capture_logs() as logs:
+        await asyncio.sleep(10 * STATE_INTERVAL_S)
+    assert list(world.master.known) == [(RegistrationKind.PUBLISHER, "/b")]
+    assert 8 <= len(world.master.calls) <= 12
+    assert [log["name"] for log in logs if log["event"] == "ros1.name_refused"] == ["/a"]
+    assert world.master.counts.re_registrations == 0
+    running.cancel()
 
 
 def test_state_of_the_master_has_publishers_subscribers_and_services_in_this_order() -> None:

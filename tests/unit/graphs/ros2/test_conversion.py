@@ -22,6 +22,7 @@ from hostlink.graphs.ros2.conversion import (
 from hostlink.graphs.ros2_names import ros2_type
 from hostlink.graphs.wire_layout import Layout, ros1_layout, ros2_layout
 from hostlink.messages.catalog import Catalog
+from tests.support.fake_device import message_type
 
 CATALOG, KILTED = Catalog(), get_typestore(Stores.ROS2_KILTED)
 _RCLPY = {"bool": "boolean", "byte": "octet", "float32": "float", "float64": "double", "char": "uint8"}
@@ -55,8 +56,7 @@ def definitions(name: str) -> dict[str, Fields]:
 
 def layout(name: str) -> Layout:
     """The layout of a type of the daemon, as its rosapi describes the type."""
-    type_ = CATALOG.message(name)
-    assert type_ is not None
+    type_ = message_type(name)
     return ros1_layout(ros1_fields(describe(type_)).get, name)
 
 
@@ -108,8 +108,7 @@ def test_message_with_the_values_of_a_header_is_not_one() -> None:
 
 def converted(name: str, fields: dict[str, Any]) -> tuple[bytes, bytes, Conversion]:
     """ROS 1's bytes, CDR, and what converts them."""
-    type_ = CATALOG.message(name)
-    assert type_ is not None
+    type_ = message_type(name)
     conversion = Conversion()
     conversion.add(definitions(ros2_type(name)))
     payload = type_.encode(fields)
@@ -166,8 +165,7 @@ def test_another_stamp_changes_nothing_else() -> None:
 
 
 def test_trailing_fields_of_ros_2_are_zero_and_dropped_on_the_way_back() -> None:
-    range_ = CATALOG.message("sensor_msgs/Range")
-    assert range_ is not None
+    range_ = message_type("sensor_msgs/Range")
     types, name = definitions("sensor_msgs/msg/Range"), "sensor_msgs/msg/Range"
     added = added_bytes(layout(range_.name), ros2_layout(types.__getitem__, name))
     assert added == 4  # the variance

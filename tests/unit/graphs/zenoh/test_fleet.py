@@ -33,6 +33,7 @@ from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, POSE, ROBOT, Scene, ScriptedDevice, play, robot_topics
+from tests.support.virtual_loop import inside
 
 DRIVE = PlanarVelocity(0.2)
 ODOMETRY = f"/{ROBOT}/odometry"
@@ -94,99 +95,86 @@ def test_sender_has_the_name_of_its_host_as_far_as_a_key_can_have_it(host: str, 
     assert sender_name(host) == name
 
 
-def test_robot_of_another_daemon_is_shown_with_its_host_and_topics() -> None:
-    async def test(world: World) -> None:
-        assert set(world.desk.robots.remote) == {ROBOT, NEIGHBOUR}
-        robot = world.robot()
-        assert (robot.host, robot.link is not None) == ("lab", True)
-        assert world.desk.topics.find(ODOMETRY).type_name == "geometry_msgs/Pose2D"
-        assert world.scene.hub.robots.remote == {}
-
-    with_fleet(test)
+@inside(with_fleet)
+async def test_robot_of_another_daemon_is_shown_with_its_host_and_topics(world: World) -> None:
+    assert set(world.desk.robots.remote) == {ROBOT, NEIGHBOUR}
+    robot = world.robot()
+    assert (robot.host, robot.link is not None) == ("lab", True)
+    assert world.desk.topics.find(ODOMETRY).type_name == "geometry_msgs/Pose2D"
+    assert world.scene.hub.robots.remote == {}
 
 
-def test_each_of_two_commands_that_are_sent_at_once_has_its_own_answer() -> None:
-    async def test(world: World) -> None:
-        def answer(velocity: PlanarVelocity) -> Awaitable[PlanarVelocity]:
-            world.program.drive(world.robot(), velocity)
-            found = world.robot().answer(world.program)
-            assert found is not None
-            return found
+@inside(with_fleet)
+async def test_each_of_two_commands_that_are_sent_at_once_has_its_own_answer(world: World) -> None:
+    def answer(velocity: PlanarVelocity) -> Awaitable[PlanarVelocity]:
+        world.program.drive(world.robot(), velocity)
+        found = world.robot().answer(world.program)
+        assert found is not None
+        return found
 
-        first, second = answer(DRIVE), answer(ZERO)
-        assert (await first, await second) == (DRIVE, ZERO)
-        world.scene.hub.robots.find(ROBOT).lock("test")
-        first, second = answer(DRIVE), answer(ZERO)
-        with pytest.raises(CommandRefused, match="locked"):
-            await first
-        assert await second == ZERO
-
-    with_fleet(test)
+    first, second = answer(DRIVE), answer(ZERO)
+    assert (await first, await second) == (DRIVE, ZERO)
+    world.scene.hub.robots.find(ROBOT).lock("test")
+    first, second = answer(DRIVE), answer(ZERO)
+    with pytest.raises(CommandRefused, match="locked"):
+        await first
+    assert await second == ZERO
 
 
-def test_commands_are_answered_in_order_while_their_daemon_becomes_known() -> None:
+@inside(with_fleet)
+async def test_commands_are_answered_in_order_while_their_daemon_becomes_known(world: World) -> None:
     """Three commands arrive before its token was read, and one between the token and their delivery."""
+    wall, keys, answers = MemorySession(world.network, "3c"), Keys(ZenohConfig().fleet_name), list[int]()
+    here, there = Sender("lab", "1a"), Sender("wall", "3c")
 
-    async def test(world: World) -> None:
-        wall, keys, answers = MemorySession(world.network, "3c"), Keys(ZenohConfig().fleet_name), list[int]()
-        here, there = Sender("lab", "1a"), Sender("wall", "3c")
+    def drive(number: int) -> None:
+        command = FleetCommand(
+            number=number, epoch=None, sent_s=0.0, robot=ROBOT, owner=1, owner_name="client 1",
+            velocity=(0.0,) * 6, priority=50,
+        )  # fmt: skip
+        wall.put(keys.key("drive", there, to=here.zid), encode(command))
 
-        def drive(number: int) -> None:
-            command = FleetCommand(
-                number=number, epoch=None, sent_s=0.0, robot=ROBOT, owner=1, owner_name="client 1",
-                velocity=(0.0,) * 6, priority=50,
-            )  # fmt: skip
-            wall.put(keys.key("drive", there, to=here.zid), encode(command))
+    def receive(sample: ZenohSample) -> None:
+        answers.append(ANSWER.decode(sample.payload).number)
 
-        def receive(sample: ZenohSample) -> None:
-            answers.append(ANSWER.decode(sample.payload).number)
-
-        wall.subscribe(keys.key("answer", here, to=there.zid), receive)
-        wall.declare_token(keys.key("alive", there))
-        asyncio.get_running_loop().call_soon(drive, 4)
-        for number in (1, 2, 3):
-            drive(number)
-        await asyncio.sleep(0.1)
-        assert answers == [1, 2, 3, 4]
-
-    with_fleet(test)
+    wall.subscribe(keys.key("answer", here, to=there.zid), receive)
+    wall.declare_token(keys.key("alive", there))
+    asyncio.get_running_loop().call_soon(drive, 4)
+    for number in (1, 2, 3):
+        drive(number)
+    await asyncio.sleep(0.1)
+    assert answers == [1, 2, 3, 4]
 
 
-def test_program_drives_a_robot_of_another_daemon_and_its_leave_stops_it() -> None:
-    async def test(world: World) -> None:
-        assert (await world.drive()).x_m_s == 0.2
-        assert world.scene.speeds()[-1] == 0.2
-        assert world.scene.hub.robots.find(ROBOT).gate.owner_name == "client 3 at desk"
-        world.program.leave()
-        await asyncio.sleep(0.05)
-        assert world.scene.speeds()[-1] == 0.0
-
-    with_fleet(test)
+@inside(with_fleet)
+async def test_program_drives_a_robot_of_another_daemon_and_its_leave_stops_it(world: World) -> None:
+    assert (await world.drive()).x_m_s == 0.2
+    assert world.scene.speeds()[-1] == 0.2
+    assert world.scene.hub.robots.find(ROBOT).gate.owner_name == "client 3 at desk"
+    world.program.leave()
+    await asyncio.sleep(0.05)
+    assert world.scene.speeds()[-1] == 0.0
 
 
-def test_lease_of_a_robot_ends_at_its_daemon() -> None:
-    async def test(world: World) -> None:
+@inside(with_fleet)
+async def test_lease_of_a_robot_ends_at_its_daemon(world: World) -> None:
+    await world.drive()
+    await asyncio.sleep(0.6)
+    assert world.scene.speeds()[-1] == 0.0
+
+
+@inside(with_fleet, drivers=("wall*",))
+async def test_daemon_that_may_not_drive_is_refused_and_may_send_zero_and_stop(world: World) -> None:
+    with pytest.raises(BadRequest, match=r"may only read at lab \(zenoh.drivers there\)"):
         await world.drive()
-        await asyncio.sleep(0.6)
-        assert world.scene.speeds()[-1] == 0.0
-
-    with_fleet(test)
-
-
-def test_daemon_that_may_not_drive_is_refused_and_may_send_zero_and_stop() -> None:
-    async def test(world: World) -> None:
-        with pytest.raises(BadRequest, match=r"may only read at lab \(zenoh.drivers there\)"):
-            await world.drive()
-        assert world.counts(world.scene.hub)["refused"] == 1
-        await world.drive(ZERO)
-        world.scene.neighbour.drive(world.scene.hub.robots.find(ROBOT), DRIVE)
-        await asyncio.sleep(0.05)
-        assert world.scene.speeds()[-1] == 0.2
-        world.desk.robots.stop_all()
-        await asyncio.sleep(0.05)
-        assert world.scene.speeds()[-1] == 0.0
-
-    with_fleet(test, drivers=("wall*",))
+    assert world.counts(world.scene.hub)["refused"] == 1
+    await world.drive(ZERO)
+    world.scene.neighbour.drive(world.scene.hub.robots.find(ROBOT), DRIVE)
+    await asyncio.sleep(0.05)
+    assert world.scene.speeds()[-1] == 0.2
+    world.desk.robots.stop_all()
+    await asyncio.sleep(0.05)
+    assert world.scene.speeds()[-1] == 0.0
 
 
 @pytest.mark.parametrize(("pattern", "may_drive"), [("desk", True), ("de*", True), ("DESK", False), ("", False)])
@@ -198,168 +186,143 @@ def test_drivers_are_matched_by_pattern(pattern: str, *, may_drive: bool) -> Non
     with_fleet(test, drivers=(pattern,))
 
 
-def test_refusal_by_the_other_daemon_keeps_kind_and_owner() -> None:
-    async def test(world: World) -> None:
-        world.scene.neighbour.drive(world.scene.hub.robots.find(ROBOT), DRIVE, priority=90)
-        with pytest.raises(CommandRefused) as caught:
-            await world.drive()
-        assert caught.value.kind is RefusalKind.HELD
-        assert "neighbour" in str(caught.value.holder)
-
-    with_fleet(test)
+@inside(with_fleet)
+async def test_refusal_by_the_other_daemon_keeps_kind_and_owner(world: World) -> None:
+    world.scene.neighbour.drive(world.scene.hub.robots.find(ROBOT), DRIVE, priority=90)
+    with pytest.raises(CommandRefused) as caught:
+        await world.drive()
+    assert caught.value.kind is RefusalKind.HELD
+    assert "neighbour" in str(caught.value.holder)
 
 
-def test_refusal_reaches_a_driver_that_waits_for_no_answer_with_its_next_command() -> None:
-    async def test(world: World) -> None:
-        world.scene.neighbour.drive(world.scene.hub.robots.find(ROBOT), DRIVE, priority=90)
+@inside(with_fleet)
+async def test_refusal_reaches_a_driver_that_waits_for_no_answer_with_its_next_command(world: World) -> None:
+    world.scene.neighbour.drive(world.scene.hub.robots.find(ROBOT), DRIVE, priority=90)
+    world.program.drive(world.robot(), DRIVE)
+    await asyncio.sleep(0.05)
+    with pytest.raises(CommandRefused):
         world.program.drive(world.robot(), DRIVE)
-        await asyncio.sleep(0.05)
-        with pytest.raises(CommandRefused):
-            world.program.drive(world.robot(), DRIVE)
-
-    with_fleet(test)
 
 
-def test_lock_at_one_daemon_holds_at_all_until_any_unlocks() -> None:
-    async def test(world: World) -> None:
-        world.robot().lock("crossing")
-        await asyncio.sleep(0.1)
-        here = world.scene.hub.robots.find(ROBOT)
-        assert here.gate.lock_reason == "crossing (desk)"
-        assert world.robot().state(now_s()).lock_reason == "crossing (desk)"
-        with pytest.raises(HostlinkError):
-            await world.drive()
-        world.robot().unlock()
-        await asyncio.sleep(0.1)
-        assert here.gate.lock_reason is None
-
-    with_fleet(test)
+@inside(with_fleet)
+async def test_lock_at_one_daemon_holds_at_all_until_any_unlocks(world: World) -> None:
+    world.robot().lock("crossing")
+    await asyncio.sleep(0.1)
+    here = world.scene.hub.robots.find(ROBOT)
+    assert here.gate.lock_reason == "crossing (desk)"
+    assert world.robot().state(now_s()).lock_reason == "crossing (desk)"
+    with pytest.raises(HostlinkError):
+        await world.drive()
+    world.robot().unlock()
+    await asyncio.sleep(0.1)
+    assert here.gate.lock_reason is None
 
 
-def test_unlock_without_an_answer_is_not_repeated_after_a_later_lock() -> None:
-    async def test(world: World) -> None:
-        here = world.scene.hub.robots.find(ROBOT)
-        here.lock("smoke")
-        await asyncio.sleep(0.1)
-        world.network.deaf.add("2b")
-        world.robot().unlock()
-        await asyncio.sleep(0.02)
-        assert here.gate.lock_reason is None
-        here.lock("fire")
-        with pytest.raises(DeviceGone, match="has not answered the unlock"):
-            await world.desk.gates.settled()
-        assert here.gate.lock_reason == "fire"
-
-    with_fleet(test)
-
-
-def test_stop_of_a_dead_daemon_is_reported() -> None:
-    async def test(world: World) -> None:
-        world.network.deaf.add("1a")
-        world.desk.robots.stop_all()
-        with capture_logs() as logs:
-            await asyncio.sleep(2.0)
-        assert [(line["what"], line["hosts"]) for line in logs if line["event"] == "fleet.unanswered"] == [
-            ("stop", ["lab"])
-        ]
-
-    with_fleet(test)
-
-
-def test_stop_that_a_daemon_does_not_answer_is_an_error_for_the_caller() -> None:
-    async def test(world: World) -> None:
-        world.desk.robots.stop_all()
+@inside(with_fleet)
+async def test_unlock_without_an_answer_is_not_repeated_after_a_later_lock(world: World) -> None:
+    here = world.scene.hub.robots.find(ROBOT)
+    here.lock("smoke")
+    await asyncio.sleep(0.1)
+    world.network.deaf.add("2b")
+    world.robot().unlock()
+    await asyncio.sleep(0.02)
+    assert here.gate.lock_reason is None
+    here.lock("fire")
+    with pytest.raises(DeviceGone, match="has not answered the unlock"):
         await world.desk.gates.settled()
-        world.network.deaf.add("1a")
-        world.desk.robots.stop_all()
-        with pytest.raises(DeviceGone, match="lab: has not answered the stop; what is here has"):
-            await world.desk.gates.settled()
-
-    with_fleet(test)
+    assert here.gate.lock_reason == "fire"
 
 
-def test_pose_of_a_robot_of_another_daemon_follows_while_it_is_read() -> None:
-    async def test(world: World) -> None:
-        robot = world.robot()
-        for x_m in (1.0, 2.0, 3.0):
-            robot.odometry.snapshot(now_s())
-            await asyncio.sleep(0.25)  # less than the time between two states
-            await world.scene.robot.send(ODOMETRY_ID, POSE.pack(x_m, 0.0, 0.0))
-        await asyncio.sleep(0.25)
-        found = robot.odometry.snapshot(now_s())
-        assert found is not None
-        assert found.pose.x_m == 3.0
-
-    with_fleet(test)
-
-
-def test_command_without_an_answer_is_refused_after_the_lease() -> None:
-    async def test(world: World) -> None:
-        world.network.deaf.add("1a")
-        with pytest.raises(DeviceGone, match="lab does not answer"):
-            await world.drive()
-
-    with_fleet(test)
-
-
-def test_daemon_that_is_lost_keeps_its_robots_as_not_connected_and_its_drivers_stop() -> None:
-    async def test(world: World) -> None:
-        await world.drive()
-        world.network.drop("2b")
-        await asyncio.sleep(0.05)
-        assert world.scene.speeds()[-1] == 0.0
-        world.network.drop("1a")
-        await asyncio.sleep(0.1)
-        assert world.robot().link is None
-        with pytest.raises(CommandRefused) as caught:
-            await world.drive()
-        assert caught.value.kind is RefusalKind.NOT_CONNECTED
-
-    with_fleet(test)
-
-
-def test_silent_daemon_is_not_driven_until_it_sends_again() -> None:
-    async def test(world: World) -> None:
-        world.network.deaf.add("2b")
-        await asyncio.sleep(SILENT_S + 0.5)
-        assert world.robot().link is None
-        world.network.deaf.clear()
+@inside(with_fleet)
+async def test_stop_of_a_dead_daemon_is_reported(world: World) -> None:
+    world.network.deaf.add("1a")
+    world.desk.robots.stop_all()
+    with capture_logs() as logs:
         await asyncio.sleep(2.0)
-        assert world.robot().link is not None
-
-    with_fleet(test)
-
-
-def test_topic_is_sent_while_the_other_daemon_subscribes() -> None:
-    async def test(world: World) -> None:
-        heard: list[bytes] = []
-        subscription = world.program.subscribe(ODOMETRY, lambda message: heard.append(message.payload))
-        await asyncio.sleep(0.3)
-        await world.scene.robot.send(125, bytes(24))
-        await asyncio.sleep(0.1)
-        assert len(heard) == 1
-        subscription.close()
-        await asyncio.sleep(0.3)
-        await world.scene.robot.send(125, bytes(24))
-        await asyncio.sleep(0.1)
-        assert len(heard) == 1
-
-    with_fleet(test)
+    assert [(line["what"], line["hosts"]) for line in logs if line["event"] == "fleet.unanswered"] == [
+        ("stop", ["lab"])
+    ]
 
 
-def test_one_name_at_two_daemons_is_logged_and_driven_only_where_it_is() -> None:
-    async def test(world: World) -> None:
-        with capture_logs() as logs:
-            ScriptedDevice(world.desk, robot_topics(ROBOT), address="10.0.0.7")
-            await asyncio.sleep(2.0)
-        found = [line for line in logs if line["event"] == "fleet.duplicate_name_found"]
-        assert {line["robot"] for line in found} == {ROBOT}
-        assert (world.robot().host, world.robot().also_at) == (None, ("lab",))
-        before = world.scene.speeds()
+@inside(with_fleet)
+async def test_stop_that_a_daemon_does_not_answer_is_an_error_for_the_caller(world: World) -> None:
+    world.desk.robots.stop_all()
+    await world.desk.gates.settled()
+    world.network.deaf.add("1a")
+    world.desk.robots.stop_all()
+    with pytest.raises(DeviceGone, match="lab: has not answered the stop; what is here has"):
+        await world.desk.gates.settled()
+
+
+@inside(with_fleet)
+async def test_pose_of_a_robot_of_another_daemon_follows_while_it_is_read(world: World) -> None:
+    robot = world.robot()
+    for x_m in (1.0, 2.0, 3.0):
+        robot.odometry.snapshot(now_s())
+        await asyncio.sleep(0.25)  # less than the time between two states
+        await world.scene.robot.send(ODOMETRY_ID, POSE.pack(x_m, 0.0, 0.0))
+    await asyncio.sleep(0.25)
+    found = robot.odometry.snapshot(now_s())
+    assert found.pose.x_m == 3.0
+
+
+@inside(with_fleet)
+async def test_command_without_an_answer_is_refused_after_the_lease(world: World) -> None:
+    world.network.deaf.add("1a")
+    with pytest.raises(DeviceGone, match="lab does not answer"):
         await world.drive()
-        assert world.scene.speeds() == before
 
-    with_fleet(test)
+
+@inside(with_fleet)
+async def test_daemon_that_is_lost_keeps_its_robots_as_not_connected_and_its_drivers_stop(world: World) -> None:
+    await world.drive()
+    world.network.drop("2b")
+    await asyncio.sleep(0.05)
+    assert world.scene.speeds()[-1] == 0.0
+    world.network.drop("1a")
+    await asyncio.sleep(0.1)
+    assert world.robot().link is None
+    with pytest.raises(CommandRefused) as caught:
+        await world.drive()
+    assert caught.value.kind is RefusalKind.NOT_CONNECTED
+
+
+@inside(with_fleet)
+async def test_silent_daemon_is_not_driven_until_it_sends_again(world: World) -> None:
+    world.network.deaf.add("2b")
+    await asyncio.sleep(SILENT_S + 0.5)
+    assert world.robot().link is None
+    world.network.deaf.clear()
+    await asyncio.sleep(2.0)
+    assert world.robot().link is not None
+
+
+@inside(with_fleet)
+async def test_topic_is_sent_while_the_other_daemon_subscribes(world: World) -> None:
+    heard: list[bytes] = []
+    subscription = world.program.subscribe(ODOMETRY, lambda message: heard.append(message.payload))
+    await asyncio.sleep(0.3)
+    await world.scene.robot.send(125, bytes(24))
+    await asyncio.sleep(0.1)
+    assert len(heard) == 1
+    subscription.close()
+    await asyncio.sleep(0.3)
+    await world.scene.robot.send(125, bytes(24))
+    await asyncio.sleep(0.1)
+    assert len(heard) == 1
+
+
+@inside(with_fleet)
+async def test_one_name_at_two_daemons_is_logged_and_driven_only_where_it_is(world: World) -> None:
+    with capture_logs() as logs:
+        ScriptedDevice(world.desk, robot_topics(ROBOT), address="10.0.0.7")
+        await asyncio.sleep(2.0)
+    found = [line for line in logs if line["event"] == "fleet.duplicate_name_found"]
+    assert {line["robot"] for line in found} == {ROBOT}
+    assert (world.robot().host, world.robot().also_at) == (None, ("lab",))
+    before = world.scene.speeds()
+    await world.drive()
+    assert world.scene.speeds() == before
 
 
 # -- requests of another daemon, one by one ---------------------------------------------------------------------------
@@ -395,7 +358,6 @@ class Requests:
                 number=5, sent_s=now_s(), robot=robot, owner=owner, owner_name="pad", velocity=velocity, priority=10
             )
         )
-        assert answer is not None
         assert answer.number == 5
         return answer
 
@@ -404,173 +366,153 @@ def now_s() -> float:
     return asyncio.get_running_loop().time()
 
 
-def test_role_is_checked_before_a_participant_is_made() -> None:
-    async def test(scene: Scene) -> None:
-        requests = Requests(scene, drivers=())
-        requests.hear()
-        assert requests.drive(robot="robot_9").error == "BadRequest"
-        assert requests.drive().error == "BadRequest"
-        assert requests.drivers._drivers == {}
-        answer = requests.request(Unlock(number=6, robot=ROBOT))
-        assert answer is not None
-        assert answer.error == "BadRequest"
-        assert requests.counts["refused"] == 3
-
-    play(test)
+@inside(play)
+async def test_role_is_checked_before_a_participant_is_made(scene: Scene) -> None:
+    requests = Requests(scene, drivers=())
+    requests.hear()
+    assert requests.drive(robot="robot_9").error == "BadRequest"
+    assert requests.drive().error == "BadRequest"
+    assert requests.drivers._drivers == {}
+    answer = requests.request(Unlock(number=6, robot=ROBOT))
+    assert answer.error == "BadRequest"
+    assert requests.counts["refused"] == 3
 
 
-def test_drivers_of_one_daemon_are_bounded_and_the_oldest_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+@inside(play)
+async def test_drivers_of_one_daemon_are_bounded_and_the_oldest_leaves(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(fleet_commands, "MAX_DRIVERS", 2)
-
-    async def test(scene: Scene) -> None:
-        requests = Requests(scene)
-        requests.hear()
-        for owner in (1, 2, 1, 3):
-            requests.drive(owner=owner, speed_m_s=0.0)
-        assert list(requests.drivers._drivers["2b"]) == [1, 3]
-        assert requests.counts["excess_drivers"] == 1
-        requests.drivers.tick(now_s() + fleet_commands.IDLE_S - 0.1)
-        assert list(requests.drivers._drivers["2b"]) == [1, 3]
-        requests.drivers.tick(now_s() + fleet_commands.IDLE_S + 0.1)
-        assert requests.drivers._drivers == {}
-
-    play(test)
+    requests = Requests(scene)
+    requests.hear()
+    for owner in (1, 2, 1, 3):
+        requests.drive(owner=owner, speed_m_s=0.0)
+    assert list(requests.drivers._drivers["2b"]) == [1, 3]
+    assert requests.counts["excess_drivers"] == 1
+    requests.drivers.tick(now_s() + fleet_commands.IDLE_S - 0.1)
+    assert list(requests.drivers._drivers["2b"]) == [1, 3]
+    requests.drivers.tick(now_s() + fleet_commands.IDLE_S + 0.1)
+    assert requests.drivers._drivers == {}
 
 
-def test_command_of_a_daemon_that_has_sent_no_state_is_refused() -> None:
-    async def test(scene: Scene) -> None:
-        requests = Requests(scene)
-        answer = requests.drive()
-        assert (answer.error, "just met" in answer.reason) == ("DeviceGone", True)
-        requests.hear()
-        assert requests.drive().velocity == (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-    play(test)
+@inside(play)
+async def test_command_of_a_daemon_that_has_sent_no_state_is_refused(scene: Scene) -> None:
+    requests = Requests(scene)
+    answer = requests.drive()
+    assert (answer.error, "just met" in answer.reason) == ("DeviceGone", True)
+    requests.hear()
+    assert requests.drive().velocity == (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def test_request_of_an_unknown_daemon_or_without_sense_is_counted_and_not_answered() -> None:
-    async def test(scene: Scene) -> None:
-        requests = Requests(scene)
-        assert requests.request(Unlock(number=6, robot=ROBOT), Sender("wall", "3c")) is None
-        assert requests.request({"type": "nonsense"}) is None
-        assert (requests.counts["unannounced"], requests.counts["malformed"]) == (1, 1)
-
-    play(test)
+@inside(play)
+async def test_request_of_an_unknown_daemon_or_without_sense_is_counted_and_not_answered(scene: Scene) -> None:
+    requests = Requests(scene)
+    assert requests.request(Unlock(number=6, robot=ROBOT), Sender("wall", "3c")) is None
+    assert requests.request({"type": "nonsense"}) is None
+    assert (requests.counts["unannounced"], requests.counts["malformed"]) == (1, 1)
 
 
-def test_answer_has_the_epoch_of_the_robot_after_an_interruption() -> None:
-    async def test(scene: Scene) -> None:
-        requests = Requests(scene)
-        requests.hear()
-        before = requests.drive().epoch
-        scene.hub.robots.find(ROBOT).stop()
-        answer = requests.drive()
-        assert before is not None
-        assert answer.epoch is not None
-        assert answer.epoch > before
-        assert answer.error != ""
-
-    play(test)
+@inside(play)
+async def test_answer_has_the_epoch_of_the_robot_after_an_interruption(scene: Scene) -> None:
+    requests = Requests(scene)
+    requests.hear()
+    before = requests.drive().epoch
+    scene.hub.robots.find(ROBOT).stop()
+    answer = requests.drive()
+    assert before is not None
+    assert answer.epoch is not None
+    assert answer.epoch > before
+    assert answer.error != ""
 
 
-def test_robot_with_several_places_is_driven_by_no_other_daemon() -> None:
-    async def test(scene: Scene) -> None:
-        requests = Requests(scene)
-        requests.hear()
-        scene.hub.robots.find(ROBOT).also_at = ("desk",)
-        assert "also at desk" in requests.drive().reason
-        assert requests.drive(speed_m_s=0.0).error == ""
-
-    play(test)
+@inside(play)
+async def test_robot_with_several_places_is_driven_by_no_other_daemon(scene: Scene) -> None:
+    requests = Requests(scene)
+    requests.hear()
+    scene.hub.robots.find(ROBOT).also_at = ("desk",)
+    assert "also at desk" in requests.drive().reason
+    assert requests.drive(speed_m_s=0.0).error == ""
 
 
-def test_messages_of_another_daemons_programs_are_of_no_driver_there() -> None:
-    async def test(scene: Scene) -> None:
-        requests = Requests(scene)
-        requests.hear()
-        requests.drive(owner=1)
-        neighbour = requests.drivers._roster.announced(requests.desk)
-        assert neighbour is not None
-        scene.neighbour.subscribe("/door", lambda _: None, type_name="std_msgs/Bool")
-        for _ in range(2):
-            with contextlib.suppress(HostlinkError):
-                requests.drivers.publish(neighbour, "/door", b"\1")
-        drivers = list(requests.drivers._drivers["2b"].values())
-        assert len(drivers) == 2
-        assert sorted(driver.participant.name for driver in drivers) == ["pad at desk", "programs at desk"]
-
-    play(test)
+@inside(play)
+async def test_messages_of_another_daemons_programs_are_of_no_driver_there(scene: Scene) -> None:
+    requests = Requests(scene)
+    requests.hear()
+    requests.drive(owner=1)
+    neighbour = requests.drivers._roster.announced(requests.desk)
+    assert neighbour is not None
+    scene.neighbour.subscribe("/door", lambda _: None, type_name="std_msgs/Bool")
+    for _ in range(2):
+        with contextlib.suppress(HostlinkError):
+            requests.drivers.publish(neighbour, "/door", b"\1")
+    drivers = list(requests.drivers._drivers["2b"].values())
+    assert len(drivers) == 2
+    assert sorted(driver.participant.name for driver in drivers) == ["pad at desk", "programs at desk"]
 
 
-def test_motions_are_sent_between_states_only_while_they_are_read() -> None:
-    async def test(world: World) -> None:
-        sent: Counter[str] = Counter()
-        listener = MemorySession(world.network, "3c")
-        live, state = (
-            next(each.key for each in world.network.publishers if f"/{kind}/" in f"{each.key}/" and "1a" in each.key)
-            for kind in ("live", "state")
-        )
+@inside(with_fleet)
+async def test_motions_are_sent_between_states_only_while_they_are_read(world: World) -> None:
+    sent: Counter[str] = Counter()
+    listener = MemorySession(world.network, "3c")
+    live, state = (
+        next(each.key for each in world.network.publishers if f"/{kind}/" in f"{each.key}/" and "1a" in each.key)
+        for kind in ("live", "state")
+    )
 
-        async def moved(seconds: float) -> Counter[str]:
-            sent.clear()
-            for number in range(int(seconds / 0.1)):
-                await world.scene.robot.send(ODOMETRY_ID, POSE.pack(0.01 * number, 0.0, 0.0))
-                await asyncio.sleep(0.1)
-            return sent
+    async def moved(seconds: float) -> Counter[str]:
+        sent.clear()
+        for number in range(int(seconds / 0.1)):
+            await world.scene.robot.send(ODOMETRY_ID, POSE.pack(0.01 * number, 0.0, 0.0))
+            await asyncio.sleep(0.1)
+        return sent
 
-        for key in (state, live):
-            listener.subscribe(key, lambda sample: sent.update((sample.key,)))
-            counts = await moved(5.0)
-            assert 4 <= counts[state] <= 6
-            assert (counts[live] > 2 * counts[state]) is (key == live)
-
-    with_fleet(test)
+    for key in (state, live):
+        listener.subscribe(key, lambda sample: sent.update((sample.key,)))
+        counts = await moved(5.0)
+        assert 4 <= counts[state] <= 6
+        assert (counts[live] > 2 * counts[state]) is (key == live)
 
 
-def test_end_of_the_fleet_here_stops_what_drivers_at_other_daemons_drive() -> None:
-    async def test(scene: Scene) -> None:
-        requests = Requests(scene)
-        requests.hear()
-        await asyncio.sleep(0.5)
-        assert requests.drive().error == ""
-        await asyncio.sleep(0.05)
-        assert scene.speeds()[-1] == 0.2
-        requests.drivers.leave_all()
-        await asyncio.sleep(0.05)
-        assert (scene.speeds()[-1], requests.drivers._drivers) == (0.0, {})
-
-    play(test)
+@inside(play)
+async def test_end_of_the_fleet_here_stops_what_drivers_at_other_daemons_drive(scene: Scene) -> None:
+    requests = Requests(scene)
+    requests.hear()
+    await asyncio.sleep(0.5)
+    assert requests.drive().error == ""
+    await asyncio.sleep(0.05)
+    assert scene.speeds()[-1] == 0.2
+    requests.drivers.leave_all()
+    await asyncio.sleep(0.05)
+    assert (scene.speeds()[-1], requests.drivers._drivers) == (0.0, {})
 
 
 @pytest.mark.parametrize(("early_m_s", "is_refused"), [(0.2, True), (0.0, False)])
-def test_driver_that_commanded_before_the_robot_existed_does_not_move_it(early_m_s: float, *, is_refused: bool) -> None:
-    async def test(scene: Scene) -> None:
-        requests = Requests(scene)
-        requests.hear()
-        assert requests.drive(robot="robot_9", speed_m_s=early_m_s).error == "UnknownTopic"
-        device = ScriptedDevice(scene.hub, robot_topics("robot_9"), address="10.0.0.9")
-        await asyncio.sleep(0.2)
-        requests.hear()
-        assert (requests.drive(robot="robot_9").error != "") is is_refused
-        await device.aclose()
+@inside(play)
+async def test_driver_that_commanded_before_the_robot_existed_does_not_move_it(
+    scene: Scene, early_m_s: float, *, is_refused: bool
+) -> None:
+    requests = Requests(scene)
+    requests.hear()
+    assert requests.drive(robot="robot_9", speed_m_s=early_m_s).error == "UnknownTopic"
+    device = ScriptedDevice(scene.hub, robot_topics("robot_9"), address="10.0.0.9")
+    await asyncio.sleep(0.2)
+    requests.hear()
+    assert (requests.drive(robot="robot_9").error != "") is is_refused
+    await device.aclose()
 
-    play(test)
 
-
-def test_daemons_are_found_again_after_a_token_may_have_been_dropped() -> None:
-    async def test(world: World) -> None:
-        subscribed: list[str] = []
-        session: Any = next(each[0] for each in world.network.subscribers if each[0].zid == "1a")
-        subscribe = session.subscribe_tokens
-        session.subscribe_tokens = lambda keys, receive: subscribed.append(keys) or subscribe(keys, receive)
-        await asyncio.sleep(2 * FIND_INTERVAL_S)
-        assert subscribed == []
+@inside(with_fleet)
+async def test_daemons_are_found_again_after_a_token_may_have_been_dropped(world: World) -> None:
+    subscribed: list[str] = []
+    session: Any = next(each[0] for each in world.network.subscribers if each[0].zid == "1a")
+    subscribe = session.subscribe_tokens
+    session.subscribe_tokens = lambda keys, receive: subscribed.append(keys) or subscribe(keys, receive)
+    await asyncio.sleep(2 * FIND_INTERVAL_S)
+    assert subscribed == []
+    session.counts["dropped"] += 1
+    await asyncio.sleep(1.0)
+    assert len(subscribed) == 1
+    for _ in range(20):
         session.counts["dropped"] += 1
-        await asyncio.sleep(1.0)
-        assert len(subscribed) == 1
-        for _ in range(20):
-            session.counts["dropped"] += 1
-            await asyncio.sleep(FIND_INTERVAL_S / 10)
-        assert 2 <= len(subscribed) <= 3
-
-    with_fleet(test)
+        await asyncio.sleep(FIND_INTERVAL_S / 10)
+    assert 2 <= len(subscribed) <= 3

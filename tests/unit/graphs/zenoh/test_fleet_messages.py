@@ -129,7 +129,6 @@ def test_messages_of_a_daemon_without_epochs_are_read() -> None:
     assert state.robots[0].epoch is None
     pose = [1.0, 2.0, 0.5, 0.2, -0.1, 7, 0.0, 10.0, 3]  # without the fields that came later
     live = LIVE.decode(msgspec.json.encode({"robots": [["r", [0.2, -0.1], pose]]})).robots[0]
-    assert live.pose is not None
     assert (live.linear_y_m_s, live.pose.linear_y_m_s, live.pose.angular_rad_s) == (0.0, 0.0, -0.1)
     answer = ANSWER.decode(
         msgspec.json.encode({"number": 1, "error": "RobotHeld", "reason": "r: x drives", "stops": 4})

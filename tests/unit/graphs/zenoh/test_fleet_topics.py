@@ -14,7 +14,7 @@ from hostlink.hub.hub import Hub
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.remote_robots import remote_robot
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import virtual
 
 ROBOT, PLAN, SCAN = "robot_7", "/robot_7/plan", "/robot_7/scan"
 
@@ -43,57 +43,51 @@ class World:
         return {topic.name for topic in self.hub.topics.all() if topic.publishers and ROBOT in topic.name}
 
 
-def test_topic_with_another_type_here_is_refused_alone_and_shown_once_it_fits() -> None:
-    async def test() -> None:
-        world = World()
-        program = world.hub.join("program")
-        program.advertise(PLAN, "std_msgs/String")
-        world.show(PLAN, SCAN)
-        assert world.counts["refused_topics"] == 1
-        assert world.published() == {PLAN, SCAN}
-        program.leave()
-        assert world.published() == {SCAN}
-        await asyncio.sleep(FIRST_RETRY_S + 0.1)
-        assert world.published() == {PLAN, SCAN}
-        world.topics.end()
-
-    run_virtual(test())
+@virtual
+async def test_topic_with_another_type_here_is_refused_alone_and_shown_once_it_fits() -> None:
+    world = World()
+    program = world.hub.join("program")
+    program.advertise(PLAN, "std_msgs/String")
+    world.show(PLAN, SCAN)
+    assert world.counts["refused_topics"] == 1
+    assert world.published() == {PLAN, SCAN}
+    program.leave()
+    assert world.published() == {SCAN}
+    await asyncio.sleep(FIRST_RETRY_S + 0.1)
+    assert world.published() == {PLAN, SCAN}
+    world.topics.end()
 
 
-def test_topic_is_subscribed_at_its_daemon_while_it_is_subscribed_here() -> None:
-    async def test() -> None:
-        world = World()
-        world.show(PLAN, SCAN)
-        world.update()
-        assert world.network.subscribers == []
-        program = world.hub.join("program")
-        program.subscribe(PLAN, lambda _: None)
-        world.update()
-        assert len(world.network.subscribers) == 1
-        world.show(SCAN)
-        assert world.network.subscribers == []
-        world.show(PLAN, SCAN)
-        world.update()
-        assert len(world.network.subscribers) == 1
-        program.leave()
-        world.update()
-        assert world.network.subscribers == []
-        world.topics.end()
-
-    run_virtual(test())
+@virtual
+async def test_topic_is_subscribed_at_its_daemon_while_it_is_subscribed_here() -> None:
+    world = World()
+    world.show(PLAN, SCAN)
+    world.update()
+    assert world.network.subscribers == []
+    program = world.hub.join("program")
+    program.subscribe(PLAN, lambda _: None)
+    world.update()
+    assert len(world.network.subscribers) == 1
+    world.show(SCAN)
+    assert world.network.subscribers == []
+    world.show(PLAN, SCAN)
+    world.update()
+    assert len(world.network.subscribers) == 1
+    program.leave()
+    world.update()
+    assert world.network.subscribers == []
+    world.topics.end()
 
 
-def test_robot_at_another_daemon_has_its_topics_anew() -> None:
-    async def test() -> None:
-        world = World()
-        world.show(PLAN)
-        world.hub.join("program").subscribe(PLAN, lambda _: None)
-        world.update()
-        world.neighbour = Neighbour(Sender("attic", "3c"), 0.0)
-        world.show(PLAN)
-        assert world.network.subscribers == []
-        assert world.published() == {PLAN}
-        world.topics.hide(ROBOT)
-        assert world.published() == set()
-
-    run_virtual(test())
+@virtual
+async def test_robot_at_another_daemon_has_its_topics_anew() -> None:
+    world = World()
+    world.show(PLAN)
+    world.hub.join("program").subscribe(PLAN, lambda _: None)
+    world.update()
+    world.neighbour = Neighbour(Sender("attic", "3c"), 0.0)
+    world.show(PLAN)
+    assert world.network.subscribers == []
+    assert world.published() == {PLAN}
+    world.topics.hide(ROBOT)
+    assert world.published() == set()

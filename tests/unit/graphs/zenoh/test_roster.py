@@ -37,7 +37,6 @@ def test_a_robot_is_where_it_is_connected() -> None:
     known.receive(A, state("r", link=None), 0.0)
     assert known.receive(B, state("r"), 0.0) == {"r"}
     place = known.place("r")
-    assert place is not None
     assert (place.neighbour.sender, place.is_connected, place.also_at) == (B, True, ())
 
 
@@ -46,7 +45,6 @@ def test_one_name_at_two_daemons_is_noted() -> None:
     known.receive(B, state("r"), 0.0)
     known.receive(A, state("r"), 0.0)
     place = known.place("r")
-    assert place is not None
     assert (place.neighbour.sender, place.also_at) == (A, ("b",))
     assert known.connected_at("r") == ("a", "b")
 
@@ -68,7 +66,6 @@ def test_the_robots_of_a_daemon_that_is_gone_are_known_and_not_connected() -> No
     known.receive(A, state("r"), 0.0)
     assert known.leave("1", 5.0) == {"r"}
     place = known.place("r")
-    assert place is not None
     assert not place.is_connected
     assert known.forget(604.0) == set()
     assert known.forget(605.0) == {"r"}
@@ -83,7 +80,7 @@ def test_a_daemon_that_is_reached_again_has_connected_robots_once_it_sends() -> 
     assert known.connected_at("r") == ()
     known.receive(A, state("r"), 2.1)
     assert known.connected_at("r") == ("a",)
-    assert list(known._by_name) == ["r"]
+    assert (known.place("r") is None, known.place("s") is None) == (False, True)
     assert known.forget(1000.0) == set()
 
 
@@ -109,7 +106,7 @@ def test_a_robot_that_is_listed_no_more_is_forgotten() -> None:
     known, _ = roster(A)
     known.receive(A, state("r", "s"), 0.0)
     assert known.receive(A, state("s"), 0.0) == {"r", "s"}
-    assert list(known._by_name) == ["s"]
+    assert (known.place("r") is None, known.place("s") is None) == (True, False)
 
 
 def test_a_motion_changes_only_robots_that_are_listed() -> None:
@@ -119,7 +116,6 @@ def test_a_motion_changes_only_robots_that_are_listed() -> None:
     live = Live(robots=(RobotMotion("r", (0.1, 0.0), pose), RobotMotion("s", (0.1, 0.0), None)))
     assert known.receive_motions(A, live, 0.0) == {"r"}
     place = known.place("r")
-    assert place is not None
     assert (place.state.pose, place.state.velocity, place.state.link) == (pose, (0.1, 0.0), 1)
     assert known.place("s") is None
 
@@ -132,7 +128,7 @@ def test_a_robot_with_another_robot_s_topics_is_refused() -> None:
         for change in ({"name": "s"}, {"reset_topic": "/tf"}, {"odometry_topic": "/rx/odom"})
     )
     known.receive(A, State(sent_s=0.0, topics=0, robots=robots), 0.0)
-    assert known._by_name == {}
+    assert [known.place(name) for name in ("r", "s")] == [None, None]
     assert counts["foreign_topics"] == 3
 
 
@@ -148,7 +144,8 @@ def test_the_number_of_robots_is_bounded() -> None:
     known, counts = roster(*senders)
     for number, sender in enumerate(senders):
         known.receive(sender, state(*(f"r_{number}_{robot}" for robot in range(256))), 0.0)
-    assert len(known._by_name) == MAX_REMOTE_ROBOTS
+    names = [f"r_{number}_{robot}" for number in range(17) for robot in range(256)]
+    assert sum(known.place(name) is not None for name in names) == MAX_REMOTE_ROBOTS
     assert counts["excess_robots"] == 17 * 256 - MAX_REMOTE_ROBOTS
 
 
@@ -159,5 +156,5 @@ def test_daemons_that_come_and_go_are_forgotten() -> None:
         known.appear(sender, 0.0)
         known.receive(sender, state(f"r_{number}"), 0.0)
         known.leave(sender.zid, 0.0)
-    assert len(known._by_name) == MAX_GONE
+    assert sum(known.place(f"r_{number}") is not None for number in range(10 * MAX_GONE)) == MAX_GONE
     assert known.leave("none", 0.0) == set()

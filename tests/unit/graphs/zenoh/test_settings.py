@@ -24,7 +24,6 @@ def test_configuration_without_the_table_starts_no_zenoh(tmp_path: Path) -> None
 
 def test_paths_are_beside_the_file(tmp_path: Path) -> None:
     settings = load(write(tmp_path, '[zenoh]\nca = "ca.pem"\nfile = "/etc/rules.json5"\n')).zenoh
-    assert settings is not None
     assert (settings.ca, settings.file) == (tmp_path / "ca.pem", Path("/etc/rules.json5"))
 
 
