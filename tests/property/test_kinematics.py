@@ -119,6 +119,22 @@ def test_a_wrapped_angle_is_the_same_direction_within_bounds(angle_rad: float) -
     assert wrap_angle(wrapped) == wrapped
 
 
+def test_half_a_turn_is_plus_pi_either_way() -> None:
+    assert wrap_angle(math.pi) == wrap_angle(-math.pi) == wrap_angle(3 * math.pi) == math.pi
+
+
+@pytest.mark.parametrize("angle_rad", [math.inf, -math.inf, math.nan])
+def test_wrapped_angle_that_is_not_finite_is_nan(angle_rad: float) -> None:
+    assert math.isnan(wrap_angle(angle_rad))
+
+
+def test_the_robot_of_the_paper() -> None:
+    drive = DifferentialDrive()
+    assert drive.metres_per_tick == pytest.approx(0.0012272, abs=5e-8)
+    assert 280 * drive.metres_per_tick == pytest.approx(0.3436, abs=5e-5)
+    assert drive.wheel_speeds(0.0, 1.0) == pytest.approx((-0.105, 0.105))
+
+
 @given(poses, poses)
 def test_a_frame_puts_a_pose_where_it_shall_be(outer: Pose, inner: Pose) -> None:
     assert_near(placed(frame_of(outer, inner), inner), outer)

@@ -219,6 +219,13 @@ def test_source_that_was_silent_for_a_lease_is_not_met_by_a_stop(driven: Timelin
     assert driven.command().is_admitted
 
 
+def test_lock_ends_the_lease_at_once(driven: Timeline) -> None:
+    epoch = driven.admission.epoch
+    driven.admission.lock("smoke", driven.now_s)
+    assert driven.driver() is None
+    assert driven.admission.epoch == epoch + 1
+
+
 def test_command_with_earlier_epoch_disarms_its_source(robot: Timeline) -> None:
     epoch = robot.admission.epoch
     robot.stop()
@@ -488,6 +495,11 @@ def test_lower_priority_is_refused_while_a_higher_one_holds_and_continues_afterw
     assert robot.command(source="bob", priority=10).is_admitted
 
 
+def test_same_priority_takes_the_robot_over(driven: Timeline) -> None:
+    assert driven.command(source="bob").is_admitted
+    assert driven.driver() == "bob"
+
+
 def test_source_may_change_its_priority(robot: Timeline) -> None:
     assert robot.command(priority=10).is_admitted
     assert robot.command(priority=60).is_admitted
@@ -505,6 +517,10 @@ def test_the_most_important_of_several_holds(robot: Timeline) -> None:
     assert robot.command(source="ann", priority=60).is_admitted
     robot.wait(0.3)  # the lease of bob is over
     assert robot.admission.is_held(robot.now_s)
+
+
+def test_higher_priority_holds_every_topic_of_the_robot(driven: Timeline) -> None:
+    assert driven.command(source="bob", priority=10, topic="other").kind is RefusalKind.HELD
 
 
 def test_source_that_is_held_is_disarmed_by_a_stop_too(driven: Timeline) -> None:
@@ -733,6 +749,16 @@ def test_commands_to_unknown_names_are_forgotten_after_a_lease_and_over_their_bo
     assert earlier.sources("rover", 10.1) == (*range(2, MAX_EARLIER + 1), 1)
     earlier.note("rover", "script", 10.1 + LEASE_S)
     assert earlier.sources("rover", 10.1) == ("script",)
+
+
+def test_source_that_commanded_a_name_before_its_robot_existed_is_disarmed() -> None:
+    earlier, admission = EarlierCommands(), Admission("rover")
+    earlier.note("rover", "script", 10.0)
+    admission.join(earlier.sources("rover", 10.2), 10.2)
+    admission.connect(10.2)
+    decision = admission.decide(Command(PlanarVelocity(0.1), "script", 50, 10.3), 10.3)
+    assert decision.kind is RefusalKind.DISARMED
+    assert admission.decide(Command(PlanarVelocity(0.1), "other", 50, 10.3), 10.3).kind is None
 
 
 # -- freshness --------------------------------------------------------------------------------------------------------

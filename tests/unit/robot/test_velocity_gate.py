@@ -123,6 +123,20 @@ def test_a_lease_expires_without_anybody_checking_it() -> None:
     assert ours.counts.expired == 1
 
 
+def test_leaving_after_the_end_changes_nothing() -> None:
+    ours = driven()
+    outputs(ours, 0.5, 3)
+    ours.withdraw("ann", now_s=1.0)
+    assert ours.step(1.0) is None
+
+
+def test_a_stop_is_sent_to_a_robot_that_stands() -> None:
+    ours = gate()
+    ours.stop(now_s=0.0)
+    assert ours.is_active
+    assert outputs(ours, 0.0) == STOPPED
+
+
 # -- a new device -----------------------------------------------------------------------------------------------------
 
 
@@ -159,6 +173,13 @@ def test_an_idle_zero_is_sent_once() -> None:
     assert outputs(ours, 0.0, 3) == [ZERO, None, None]
 
 
+def test_an_idle_zero_does_not_shorten_a_stop() -> None:
+    ours = gate()
+    ours.stop(now_s=0.0)
+    ours.drive("ann", ZERO, priority=50, now_s=0.0)
+    assert outputs(ours, 0.0) == STOPPED
+
+
 # -- limits -----------------------------------------------------------------------------------------------------------
 
 
@@ -179,6 +200,14 @@ def test_all_components_shrink_by_one_factor(limits: Limits, requested: PlanarVe
     assert limits.apply(requested) == pytest.approx(given)
 
 
+@pytest.mark.parametrize("forward", [1, -1])
+@pytest.mark.parametrize("left", [1, -1])
+def test_the_faster_wheel_counts_in_every_direction(forward: int, left: int) -> None:
+    limits = Limits(max_wheel_m_s=0.3, wheel_separation_m=0.2)
+    given = limits.apply(PlanarVelocity(forward * 0.4, yaw_rad_s=left * 2.0))  # one wheel would make 0.6 m/s
+    assert given == pytest.approx(PlanarVelocity(forward * 0.2, yaw_rad_s=left * 1.0))
+
+
 def test_the_caller_hears_what_the_limits_left() -> None:
     ours = gate(Limits())
     assert ours.drive("ann", PlanarVelocity(3.0), priority=50, now_s=0.0) == PlanarVelocity(1.0)
@@ -196,6 +225,11 @@ def test_the_largest_numbers_stand_still_under_a_limit() -> None:
 def test_an_impossible_limit_is_refused(name: str, wrong: float) -> None:
     with pytest.raises(ConfigError, match=f"limits of a robot: {name} must be a finite number, zero or more, not"):
         Limits(**{name: wrong})
+
+
+def test_speed_limit_applies_to_the_length_of_x_and_y() -> None:
+    assert Limits(max_linear_m_s=0.5).apply(PlanarVelocity(0.0, -2.0, 1.0)) == PlanarVelocity(0.0, -0.5, 0.25)
+    assert Limits(max_linear_m_s=0.5).apply(PlanarVelocity(0.6, 0.8)) == pytest.approx(PlanarVelocity(0.3, 0.4))
 
 
 def test_wheel_limit_applies_to_the_length_of_x_and_y_and_to_the_turn() -> None:
@@ -227,6 +261,13 @@ def test_a_lock_is_zero_at_once_past_every_ramp_and_then_zero_again_and_again() 
     assert given == [ZERO] * 3 + [None] * 9 + [ZERO] + [None] * 9 + [ZERO] + [None] * 2
 
 
+def test_a_locked_robot_that_has_received_its_zeros_stands() -> None:
+    ours = driven()
+    ours.lock("smoke", now_s=1.0)
+    outputs(ours, 0.1, 3)
+    assert (ours.may_move, ours.is_active) == (False, True)
+
+
 def test_the_priority_of_the_owner_is_known() -> None:
     assert driven(priority=60).priority == 60
 
@@ -254,6 +295,7 @@ def test_end_of_the_lease_is_known_and_a_gate_without_driver_has_none() -> None:
     ours = gate()
     assert ours.driver is None
     ours.drive("ann", FORWARD, now_s=1.0)
+    assert ours.driver is not None
     assert ours.driver.deadline_s == 1.5
 
 
