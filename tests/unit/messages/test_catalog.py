@@ -7,7 +7,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import ConfigError, WrongType
-from hostlink.messages.catalog import Catalog, decode_clock, read_full_definition
+from hostlink.messages.catalog import Catalog, decode_clock, read_full_definition, to_time
 from hostlink.messages.fields import Constant
 from hostlink.messages.message_type import MessageType, ServiceType
 
@@ -349,3 +349,7 @@ def test_clock_message_is_its_time_in_nanoseconds() -> None:
 @pytest.mark.parametrize("payload", [b"", bytes(7), bytes(9)])
 def test_payload_of_another_length_decodes_to_none(payload: bytes) -> None:
     assert decode_clock(payload) is None
+
+
+def test_time_of_a_message_has_seconds_and_nanoseconds() -> None:
+    assert to_time(2_000_000_003) == {"secs": 2, "nsecs": 3}
