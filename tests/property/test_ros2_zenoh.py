@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from hostlink.errors import BadPayload
+from hostlink.graphs.ros2_names import Qos
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.rmw_protocol import (
-    TELEMETRY,
     Attachment,
     EndpointToken,
     NodeToken,
@@ -71,7 +71,7 @@ class Tokens(RuleBasedStateMachine):
 
     def key(self, session: int, subject: tuple[str, str]) -> str:
         node = NodeToken(0, f"a{session}", 0, "/", "driver")
-        return EndpointToken(TokenKind.PUBLISHER, node, 1, *subject, "RIHS01_0", TELEMETRY).encode()
+        return EndpointToken(TokenKind.PUBLISHER, node, 1, *subject, "RIHS01_0", Qos()).encode()
 
     @rule(session=st.integers(0, 3), subject=st.sampled_from(SUBJECTS))
     def come(self, session: int, subject: tuple[str, str]) -> None:

@@ -31,11 +31,11 @@ from hostlink.config import Config, ZenohConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.ros2.plan import TWIST, VelocityInput
 from hostlink.graphs.ros2.velocity import VelocityDriver
+from hostlink.graphs.ros2_names import Qos
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
 from hostlink.graphs.zenoh.rmw_protocol import (
-    TELEMETRY,
     Attachment,
     EndpointToken,
     NodeToken,
@@ -504,7 +504,7 @@ class RmwPublisher(EntryPoint):
         graph = RemoteGraph(0, counts)
         self._publishers, self._sent = Publishers(node, graph, LogOnce(counts)), 0
         remote = NodeToken(0, "aa", 0, "/", "driver")
-        endpoint = EndpointToken(TokenKind.PUBLISHER, remote, 1, CMD_VEL, ROS2_TWIST, "RIHS01_0", TELEMETRY).encode()
+        endpoint = EndpointToken(TokenKind.PUBLISHER, remote, 1, CMD_VEL, ROS2_TWIST, "RIHS01_0", Qos()).encode()
         self._gid, token = gid_of(endpoint), graph.add(endpoint)
         assert isinstance(token, EndpointToken)
         self._publishers.add(token, endpoint)
