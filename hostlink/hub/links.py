@@ -35,7 +35,6 @@ log = structlog.get_logger()
 SILENCE_TIMEOUT_S = 0.5  # for the request for silence before a link ends
 END_S = 0.0005  # CPU time for removing a device from the graph
 DECIDE_INTERVAL_S = 0.05  # a robot sends every 0.1 s
-LAST_ZERO_S = 0.2  # for the last zero on a link that is replaced while its robot moves
 
 
 class Links:
@@ -362,15 +361,10 @@ class Links:
             )
 
     def _replace(self, number: int) -> None:
-        """End the old link of a device that reconnected. If its robot was moving, wait until the zero was sent."""
+        """End the old link of a device that reconnected. Its last frame is a zero if it is a robot's."""
         old = self._devices.get(number)
-        if old is None:
-            return
-        is_moving = old.robot is not None and old.robot.gate.may_move
-        self._forget(old.link)
-        if is_moving:
-            self._hub.spawn(_end_replaced(old.link), name=f"end of link {number}")
-        else:
+        if old is not None:
+            self._forget(old.link)
             old.link.end(LinkEnd.REPLACED)
 
     def _leave_graph(self, device: Device) -> None:
@@ -391,13 +385,6 @@ async def _silence(links: list[Link]) -> None:
         link.wake()
     for link in links:
         await link.drained()
-
-
-async def _end_replaced(link: Link) -> None:
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(LAST_ZERO_S):
-            await link.drained()
-    link.end(LinkEnd.REPLACED)
 
 
 def _log_refused_topic(_: Device, event: events.TopicRefused) -> None:

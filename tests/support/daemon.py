@@ -1,7 +1,7 @@
 """The daemon in the test's own process, on ports of its own.
 
 The test and its devices stand still with this daemon on a busy machine, and what they send is not late by that. So the
-daemon takes no velocity for a late one, and no pause interrupts its robots, unless a test wants it (`notices_pauses`).
+daemon takes no velocity for a late one, and no pause interrupts its robots.
 tests/unit/hub/test_stall_watch.py, test_gates.py, tests/integration/test_admission_contract.py (every entry point) and
 tests/system/test_daemon_stalls.py (a process) test lateness and pauses.
 """
@@ -22,10 +22,8 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.hub.stall_watch import StallWatch
 from tests.support.driving import put_velocity
-from tests.support.waiting import expect
 
 PATIENT = LinkConfig(silence_timeout_s=None, idle_timeout_s=None)
-IN_TIME_S = 0.1  # of the event loop: later commands have most of their lease
 
 
 class PunctualWatch:
@@ -95,7 +93,6 @@ async def daemon(
     *,
     has_black_box: bool = False,
     read: Callable[[], Config] | None = None,
-    notices_pauses: bool = False,
 ) -> AsyncIterator[Daemon]:
     """Run a daemon within the block. Without a black box, only the test subscribes to topics.
 
@@ -115,9 +112,5 @@ async def daemon(
         running(on_free_ports(Config() if config is None else config), read=read_again) as (hub, addresses),
         aiohttp.ClientSession() as session,
     ):
-        if notices_pauses:
-            now_s = asyncio.get_running_loop().time
-            await expect(lambda: now_s() - hub.gates.came_s(now_s()) < IN_TIME_S)  # a slow start counts as a pause
-        else:
-            hub.gates._stalls = cast(StallWatch, PunctualWatch(hub.gates._stalls))
+        hub.gates._stalls = cast(StallWatch, PunctualWatch(hub.gates._stalls))
         yield Daemon(hub, addresses.tcp, addresses.api, session, addresses.udp)

@@ -1,6 +1,7 @@
 """Links: identification, replacement, parameters and ends of connections, with devices in memory."""
 
 import asyncio
+import itertools
 from typing import Any
 
 import pytest
@@ -134,6 +135,25 @@ def test_device_that_reconnects_replaces_its_silent_link_after_a_zero() -> None:
         assert velocities(second)[0] == (0.0, 0.0)
 
     in_hub(test)
+
+
+def test_the_last_frame_of_a_replaced_link_is_a_zero_also_on_a_busy_serial_line() -> None:
+    async def test(made: MemoryHub) -> None:
+        first = await made.connect(peer="10.0.0.2:1")
+        robot = made.robot()
+        drive_gate(robot, SLOW, owner="ann")
+        first.infos = []
+        second = await made.connect(peer="10.0.0.2:2")
+        for number in itertools.count(1):
+            if robot.link is second.link:
+                break
+            drive_gate(robot, PlanarVelocity(0.1 + 0.001 * (number % 100)), owner="ann")
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(1.0)
+        assert velocities(first)[-1] == (0.0, 0.0)
+        assert [each["reason"] for each in made.logged("link.closed")] == ["replaced"]
+
+    in_hub(test, Config(link=LinkConfig(uart_bytes_s=960)))
 
 
 def test_messages_before_identification_are_delivered_afterwards() -> None:
