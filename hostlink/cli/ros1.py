@@ -21,6 +21,7 @@ from hostlink.errors import ConfigError
 from hostlink.graphs.ros1.names import NodeArguments, parse_arguments
 
 NODE = "serial_node"
+MASTER = "http://localhost:11311"
 PORT, BAUD, TCP_PORT = "/dev/ttyUSB0", 57600, 11411  # defaults of rosserial_python
 TCP = "tcp"  # argument in the place of a serial port
 
@@ -60,8 +61,8 @@ def command(
     serial: Annotated[str | None, typer.Option(help="Serve the device on this serial port.")] = None,
     baud: Annotated[int | None, typer.Option(help="Baud rate of the serial port.", min=1)] = None,
     master: Annotated[
-        str, typer.Option(help="Address of the ROS master.", envvar="ROS_MASTER_URI")
-    ] = "http://localhost:11311",
+        str | None, typer.Option(help="Address of the ROS master.", envvar="ROS_MASTER_URI", show_default=MASTER)
+    ] = None,
     host: Annotated[
         str | None,
         typer.Option(
@@ -69,7 +70,9 @@ def command(
             envvar=["ROS_HOSTNAME", "ROS_IP"],
         ),
     ] = None,
-    namespace: Annotated[str, typer.Option(help="Namespace of the node.", envvar="ROS_NAMESPACE")] = "/",
+    namespace: Annotated[
+        str | None, typer.Option(help="Namespace of the node.", envvar="ROS_NAMESPACE", show_default="/")
+    ] = None,
     api: ApiAddress = None,
     messages: MessageFolders = None,
     config: ConfigFile = None,
@@ -90,7 +93,7 @@ def command(
         return
     arguments = parse_arguments(words or ())
     settings = merge(load(config) if config else Config(), listen=None, serial=None, api=api, messages=messages)
-    node = _node(settings.ros1, arguments, master=master, host=host, namespace=namespace)
+    node = node_of(settings.ros1, arguments, master=master, host=host, namespace=namespace)
     settings = dataclasses.replace(settings, ros1=node)
     options = _PortOptions(tcp, serial, baud)
     plain = with_devices(settings, {}, arguments.others, options)  # reports wrong arguments first
@@ -145,15 +148,27 @@ class _PortOptions:
     baud: int | None
 
 
-def _node(config: Ros1Config, arguments: NodeArguments, *, master: str, host: str | None, namespace: str) -> Ros1Config:
-    """Return the settings of the node. Its arguments take precedence over options, and those over the environment."""
+def node_of(
+    config: Ros1Config,
+    arguments: NodeArguments,
+    *,
+    master: str | None = None,
+    host: str | None = None,
+    namespace: str | None = None,
+) -> Ros1Config:
+    """Return the settings of the node: of its arguments, else the options and the environment, else the configuration.
+
+    Raises:
+        ConfigError: a name or the address of the master is invalid.
+    """
     specials = arguments.specials
-    names = arguments.names(NODE, namespace or "/")
+    names = arguments.names(NODE if config.name == Ros1Config().name else config.name, namespace or config.namespace)
+    address = specials.get("master", (config.master or MASTER) if master is None else master)
     return dataclasses.replace(
-        with_master(config, "the master", specials.get("master", master)),
+        with_master(config, "the master", address),
         name=names.node.rpartition("/")[2],
         namespace=names.namespace,
-        host=specials.get("hostname") or specials.get("ip") or host,
+        host=specials.get("hostname") or specials.get("ip") or host or config.host,
         remappings={**config.remappings, **arguments.remappings},
     )
 

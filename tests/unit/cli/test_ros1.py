@@ -4,10 +4,11 @@ from typing import Any
 
 import pytest
 
-from hostlink.cli.ros1 import _catkin_version, _PortOptions, with_devices
+from hostlink.cli.ros1 import MASTER, NODE, _catkin_version, _PortOptions, node_of, with_devices
 from hostlink.cli.ros1_parameters import scalar
-from hostlink.config import Config
+from hostlink.config import Config, Ros1Config
 from hostlink.errors import ConfigError
+from hostlink.graphs.ros1.names import parse_arguments
 
 
 def devices(*others: str, parameters: dict[str, Any] | None = None, **options: Any) -> tuple[object, ...]:
@@ -64,3 +65,24 @@ def test_a_parameter_of_the_command_line(text: str, value: object) -> None:
 )
 def test_version_of_the_package_is_three_numbers(text: str, expected: str) -> None:
     assert _catkin_version(text) == expected
+
+
+FILE = Ros1Config(master="http://file:1", name="bridge", namespace="/lab", host="10.0.0.7")
+OPTIONS = {"master": "http://option:2", "host": "10.0.0.8", "namespace": "/hall"}
+WORDS = ["__master:=http://word:3", "__name:=node", "__ns:=/yard", "__hostname:=10.0.0.9"]
+
+
+@pytest.mark.parametrize(
+    ("config", "options", "words", "expected"),
+    [
+        (Ros1Config(), {}, [], (MASTER, NODE, "/", None)),
+        (FILE, {}, [], ("http://file:1", "bridge", "/lab", "10.0.0.7")),
+        (FILE, OPTIONS, [], ("http://option:2", "bridge", "/hall", "10.0.0.8")),
+        (FILE, OPTIONS, WORDS, ("http://word:3", "node", "/yard", "10.0.0.9")),
+    ],
+)
+def test_the_node_is_of_its_arguments_else_the_options_else_the_configuration(
+    config: Ros1Config, options: dict[str, str], words: list[str], expected: tuple[object, ...]
+) -> None:
+    found = node_of(config, parse_arguments(words), **options)
+    assert (found.master, found.name, found.namespace, found.host) == expected
