@@ -123,4 +123,4 @@ def test_pictures_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     picture = tmp_path / "paths.png"
     build_app("lab")(["lab", "pictures", "--runs", "2", "-o", str(picture)], standalone_mode=False)
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert "KiB" in capsys.readouterr().out
+    assert " kB" in capsys.readouterr().out
