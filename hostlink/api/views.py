@@ -321,7 +321,8 @@ def topic_info_views(device: Device) -> list[TopicInfoView]:
 async def links_view(hub: Hub, slices: Slices) -> dict[str, object]:
     """Return a LinksView, ready to be encoded. It is made in slices: topics of many devices are megabytes of JSON."""
     links: list[msgspec.Raw] = []
-    views = map(link_view, list(hub.robots.devices.values()))
+    devices = hub.robots.devices
+    views = (link_view(each) for each in list(devices.values()) if each.link.number in devices)  # one may end meanwhile
     await slices.run(views, lambda view: links.append(msgspec.Raw(msgspec.json.encode(view))))
     now_s = asyncio.get_running_loop().time()
     ended: list[EndedLinkView] = [

@@ -84,7 +84,8 @@ class _Caller:
 
     def __init__(self, offer: ServiceOffer, wire: Wire, node: LocalNode, header: Header) -> None:
         self._offer, self._wire, self._node = offer, wire, node
-        self._participant: Participant = node.join(printable(header["callerid"]), wire.close)
+        self._name = printable(header["callerid"])
+        self._participant: Participant = node.join(self._name, wire.close)
         self._waiting: list[bytes] = []
         self.is_working = False
 
@@ -98,6 +99,9 @@ class _Caller:
             self._node.spawn(self._work(), name=f"ROS 1 call of {printable(self._offer.name)}")
 
     def end(self) -> None:
+        if self._wire.outgoing.is_too_slow:
+            self._node.counts.failed_services += 1
+            self._node.log_once("ros1.caller_too_slow", service=self._offer.name, caller=self._name)
         self._offer.callers.pop(self._wire, None)
         self._waiting.clear()
         self._participant.leave()

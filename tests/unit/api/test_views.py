@@ -7,6 +7,7 @@ import msgspec
 from hostlink.api.views import LinksView, LinkView, Slices, links_view
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
+from hostlink.link.serving import LinkEnd
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
@@ -48,3 +49,16 @@ async def test_view_of_many_topics_yields_the_loop_after_each_link() -> None:
     assert [len(link["topics"]) for link in found["links"]] == [TOPICS] * LINKS
     assert msgspec.json.decode(encoded)["links"][0].keys() == LinkView.__annotations__.keys()
     assert turns >= LINKS / 2  # a turn each, or two where a processor is fast
+
+
+async def test_link_that_ends_while_the_view_is_made_is_not_among_the_live_ones() -> None:
+    hub = Hub(Config(), Catalog(), reraises=True)
+    crowd(hub)
+    last = hub.links.all()[-1]
+    last.end(LinkEnd.EVICTED)
+    ending = asyncio.get_running_loop().create_task(hub.links.serve(last))
+    view = await links_view(hub, Slices(hub))
+    await ending
+    found = msgspec.json.decode(msgspec.json.encode(view), type=LinksView)
+    assert [link["number"] for link in found["ended"]] == [last.number]
+    assert last.number not in [link["number"] for link in found["links"]]

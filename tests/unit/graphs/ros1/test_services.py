@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Mapping
 
 import pytest
+from structlog.testing import capture_logs
 
 from hostlink.graphs.ros1 import services
 from hostlink.graphs.ros1.services import ForeignService, ServiceOffer
@@ -113,6 +114,26 @@ def test_caller_with_too_many_waiting_calls_is_closed(monkeypatch: pytest.Monkey
         wire.receive([b"\x01"] * 2)
         assert wire.is_closed
         assert made._node.counts.failed_services >= 1
+
+    play(test)
+
+
+def test_caller_that_is_cut_off_because_it_reads_no_answers_is_counted_and_logged_once() -> None:
+    async def test(scene: Scene) -> None:
+        made = offer(scene)
+        with capture_logs() as lines:
+            for is_too_slow in (True, True, False):
+                wire = FakeWire()
+                made.accept(wire.wire, HEADER)
+                wire.outgoing.is_too_slow = is_too_slow
+                wire.close()
+        assert made._node.counts.failed_services == 2
+        (line,) = lines
+        assert (line["event"], line["service"], line["caller"]) == (
+            "ros1.caller_too_slow",
+            "/ros_enable",
+            "/caller",
+        )
 
     play(test)
 
