@@ -132,7 +132,9 @@ async def _halt(
         except HostlinkError as error:
             failed[name] = error
 
-    await asyncio.gather(*map(halt, wanted))  # none waits for another one, whose daemon may not answer
+    async with asyncio.TaskGroup() as tasks:  # no stop waits for one of a daemon that does not answer
+        for name in wanted:
+            tasks.create_task(halt(name))
     if no_wait and measured:
         measured = {name: found for name, found in (await host.standstill()).items() if name in measured}
     try:

@@ -87,7 +87,7 @@ def test_progress_fits_into_one_line(columns: int, shown: str, monkeypatch: pyte
 
 @pytest.mark.parametrize(("size", "known"), [((0, 0), (80, 24)), ((10, 40), (40, 10))])
 def test_size_of_a_terminal(size: tuple[int, int], known: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A serial console has 0 columns until somebody sets its size."""
+    """A serial console has 0 columns and 0 lines until a program sets its size."""
     terminal, other = pty.openpty()
     try:
         fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
