@@ -113,7 +113,7 @@ RobotName = Annotated[
 ]
 RobotNames = Annotated[
     list[str] | None,
-    typer.Argument(help="Names of robots; without one: all robots.", callback=not_empty, autocompletion=robot_names),
+    typer.Argument(help="Names of robots; without one: all robots.", autocompletion=robot_names),
 ]
 AllRobots = Annotated[bool, typer.Option("--all", help="All robots, as without a name.")]
 ParameterName = Annotated[
@@ -294,8 +294,13 @@ def _scalar(text: str) -> Any:
     Raises:
         ValueError: a list, an object or a quoted text is not closed.
     """
-    if text.startswith(("{", "[", '"')):
-        return read_message(text) if text[0] != '"' else json.loads(text)
+    if text.startswith(("{", "[")):
+        return read_message(text)
+    if text.startswith('"'):
+        try:
+            return json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(_fault(text, text[error.pos :])) from error
     if text.startswith("'") and text.endswith("'") and len(text) > 1:
         return text[1:-1].replace("''", "'")
     try:

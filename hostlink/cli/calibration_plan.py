@@ -133,7 +133,7 @@ def open_state(path: Path, wanted: SavedCalibration, *, anew: bool) -> StateFile
         saved = wanted
     except (OSError, msgspec.DecodeError) as error:
         raise HostlinkError(
-            f"{path} is not the state file of a calibration ({error}); remove it, or name another with --state"
+            f"{path} is not the state file of a calibration ({error}); name another with --state, or remove it"
         ) from error
     if anew:
         return StateFile(path, wanted)

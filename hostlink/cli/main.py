@@ -380,8 +380,9 @@ def main() -> None:
         status = FAILED
     except (KeyboardInterrupt, typer.Abort):
         status = INTERRUPTED
-    with contextlib.suppress(OSError):  # standard error is closed
-        clear_progress()
+    finally:
+        with contextlib.suppress(OSError):  # standard error is closed
+            clear_progress()
     if status == INTERRUPTED:
         end_line()
     sys.exit(status)

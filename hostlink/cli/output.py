@@ -97,11 +97,11 @@ def _coloured(text: str, colour: str) -> str:
 
 
 def terminal_size() -> tuple[int, int]:
-    """Return the columns and lines of the terminal; 80 and 24 without one."""
-    try:
-        return os.get_terminal_size(sys.stdout.fileno())
-    except OSError:
-        return 80, 24
+    """Return the columns and lines of the terminal; 80 and 24 without one, and for one that does not know its size."""
+    columns = lines = 0
+    with contextlib.suppress(OSError):
+        columns, lines = os.get_terminal_size(sys.stdout.fileno())
+    return columns or 80, lines or 24
 
 
 def _fitting(line: str, terminal: TextIO) -> str:

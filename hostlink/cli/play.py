@@ -253,7 +253,7 @@ def _not_one(file: Path, names: list[str], driven: set[str]) -> str:
     if not driven:
         return _undriven(file, "any robot")
     found = f"has velocities of {', '.join(names)}" if names else "has none of the named robots"
-    return f"{file} {found}; choose one of: {', '.join(sorted(driven))}  with --robot"
+    return f"{file} {found}; choose one with --robot: {', '.join(sorted(driven))}"
 
 
 def _first_of(file: Path, wanted: Wanted) -> str | None:

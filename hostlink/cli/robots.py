@@ -1,5 +1,6 @@
 """The commands for robots: robots, stop, lock, unlock."""
 
+import asyncio
 import functools
 import json as json_text
 from collections.abc import Awaitable, Callable
@@ -119,22 +120,31 @@ async def _halt(
     known = [robot["name"] for robot in await chosen(host)]
     wanted = [name.strip("/") for name in names] or known
     no_wait = {"wait_s": 0.0} if len(wanted) > 1 else {}  # no stop waits for the measurement of another robot
-    measured, errors = dict[str, Standstill](), list[HostlinkError]()
-    for name in wanted:
+    measured, failed = dict[str, Standstill](), dict[str, HostlinkError]()
+
+    async def halt(name: str) -> None:
         try:
+            if not name:  # refused here, because the other names count
+                raise ConfigError("ROBOTS", "a name is empty; give one, or leave the argument out for all robots")
             if name not in known:
                 raise unknown_robot(name, known)
             measured[name] = await command(host.robot(name), **no_wait)
         except HostlinkError as error:
-            errors.append(error)
+            failed[name] = error
+
+    async with asyncio.TaskGroup() as tasks:  # no stop waits for one of a daemon that does not answer
+        for name in wanted:
+            tasks.create_task(halt(name))
     if no_wait and measured:
         measured = {name: found for name, found in (await host.standstill()).items() if name in measured}
     try:
         if measured:
             await _report(host, measured, done=done, json=json)
     finally:
-        if errors:
-            raise errors[0]
+        if failed:
+            *others, last = [failed[name] for name in dict.fromkeys(wanted) if name in failed]
+            write_error(*(f"hostlink: {error}" for error in others))
+            raise last
 
 
 async def _report(host: Host, measured: dict[str, Standstill], *, done: str = "", json: bool) -> None:

@@ -97,7 +97,8 @@ def _keys(layout: str, width: int) -> Iterator[Line]:
 
 
 def folded(text: str, width: int) -> Sequence[str]:
-    """Break a text into lines between facts, else between words."""
+    """Break a text into lines between facts, else between words. A window may be too narrow for any character."""
+    width = max(width, 1)
     if len(text) <= width:
         return [text]
     lines: list[str] = []

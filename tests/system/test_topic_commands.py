@@ -168,6 +168,14 @@ async def test_stop_lock_and_unlock() -> None:
             "hostlink: there is no robot named mull; similar names: mule; `hostlink robots` lists them\n"
         )
         assert all(robot.gate.lock_reason is None for robot in host.hub.robots.all())
+        status, out, err = await run("lock", "mull", "", "mule", "robot_1", *at)
+        assert (status, out) == (1, f"mule is locked: a lock from the terminal\nmule: {unknown}")
+        mull, empty, robot_1 = err.splitlines()
+        assert "named mull;" in mull
+        assert "a name is empty" in empty
+        assert "named robot_1;" in robot_1
+        assert await run("stop", "", "--all", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
+        assert (await run("stop", "", *at))[:2] == (2, "")
 
 
 async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:

@@ -108,6 +108,8 @@ def test_the_screen_of_top_says_how_many_lines_do_not_fit(monkeypatch: pytest.Mo
     assert lines[-1] == "24 more lines; `hostlink top --once` prints them"
     monkeypatch.setattr("hostlink.cli.top.terminal_size", lambda: (200, 60))
     assert screen_lines(shown)[-1] == "no findings"
+    monkeypatch.setattr("hostlink.cli.top.terminal_size", lambda: (1, 60))
+    assert len(screen_lines(shown)) == 59
 
 
 def test_the_screen_of_top_shows_names_without_control_codes() -> None:

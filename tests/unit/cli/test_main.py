@@ -157,10 +157,8 @@ def test_other_errors_stay_as_they_are(text: str) -> None:
     "words",
     [
         "play x.mcap --drive",
-        "stop",
-        "stop robot_0",
-        "lock",
         "unlock",
+        "unlock robot_0",
         "drive",
         "step",
         "calibrate",

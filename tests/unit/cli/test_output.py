@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 import hostlink.cli
 from hostlink import logs
-from hostlink.cli.output import allow_any_text, plain, show_progress, table, write
+from hostlink.cli.main import main
+from hostlink.cli.output import allow_any_text, plain, show_progress, table, terminal_size, write
 
 WRITERS = {"output.py"}
 LINE = "  driving: 12 s, leg 1 of 8; Ctrl-C stops it"
@@ -82,6 +83,32 @@ def test_progress_fits_into_one_line(columns: int, shown: str, monkeypatch: pyte
     finally:
         os.close(terminal)
         os.close(other)
+
+
+@pytest.mark.parametrize(("size", "known"), [((0, 0), (80, 24)), ((10, 40), (40, 10))])
+def test_size_of_a_terminal(size: tuple[int, int], known: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A serial console has 0 columns and 0 lines until a program sets its size."""
+    terminal, other = pty.openpty()
+    try:
+        fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
+        with open(other, "w", closefd=False) as stream:
+            monkeypatch.setattr("sys.stdout", stream)
+            assert terminal_size() == known
+    finally:
+        os.close(terminal)
+        os.close(other)
+
+
+def test_a_traceback_is_not_written_behind_the_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: list[str]) -> int:
+        show_progress("3 files ...")
+        raise RuntimeError
+
+    monkeypatch.setattr("sys.stderr", terminal := _Terminal())
+    monkeypatch.setattr("hostlink.cli.main._run", fail)
+    with pytest.raises(RuntimeError):
+        main()
+    assert terminal.getvalue() == "\r\x1b[2K3 files ...\r\x1b[2K"
 
 
 def test_the_log_on_a_terminal_has_no_codes_but_its_own() -> None:

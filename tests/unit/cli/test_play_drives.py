@@ -99,7 +99,7 @@ async def test_robot_that_nothing_drove_is_named_as_the_cause(tmp_path: Path) ->
         reason = await refused(drive(announced))
         assert "no velocities of robot_0, because nothing drove it during the recording" in reason
         assert "--start" not in reason
-        with pytest.raises(BadRequest, match="none of the named robots; choose one of: robot_0  with --robot"):
+        with pytest.raises(BadRequest, match="none of the named robots; choose one with --robot: robot_0"):
             await play.drive_robot("memory", None, announced, PLAYBACK, "robot_0", ["robot_7"])
         announced.unlink()
         empty = recording(tmp_path, [], [ODOMETRY, COMMANDS])
