@@ -62,11 +62,11 @@ async def test_daemon_keeps_nothing_of_a_disconnected_client(visit: Visit) -> No
     async with daemon() as host:
         port, tasks = int(host.url.rpartition(":")[2]), len(asyncio.all_tasks())
         await visits(visit, port, 100)
-        await expect(lambda: len(asyncio.all_tasks()) <= tasks)  # all clients are gone
+        await expect(lambda: len(asyncio.all_tasks()) <= tasks)  # all clients are gone, but perhaps for a socket
         gc.collect()
         objects, before = len(gc.get_objects()), in_use()
         await visits(visit, port, 300)
-        await expect(lambda: in_use() == before)
+        await expect(lambda: all(now <= then for now, then in zip(in_use(), before, strict=True)))
         gc.collect()
         assert len(gc.get_objects()) - objects < 300  # less than one a client
 
