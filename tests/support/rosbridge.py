@@ -9,7 +9,9 @@ from typing import Any
 import aiohttp
 import cbor2
 
+from hostlink.robot.admission import LEASE_S
 from tests.support.daemon import Daemon
+from tests.support.fake_device import FakeDevice
 from tests.support.waiting import TIMEOUT_S
 
 
@@ -46,3 +48,13 @@ async def client(host: Daemon, *, level: str = "error") -> AsyncIterator[Client]
         new = Client(socket)
         await new.send(op="set_level", level=level)
         yield new
+
+
+async def publish_until_driven(program: Client, device: FakeDevice, linear_m_s: float) -> None:
+    """Publish a velocity of robot_0 until its device receives it: a daemon that is late refuses it."""
+    while True:
+        await program.send(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": linear_m_s}})
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(2 * LEASE_S):
+                await device.velocity_of((linear_m_s, 0.0))
+                return

@@ -4,16 +4,14 @@ tests/property/test_host_pauses.py has what the diagnosis makes of pauses and re
 """
 
 import asyncio
-import contextlib
 import signal
 
 import aiohttp
 import pytest
 
-from hostlink.robot.admission import LEASE_S
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics
 from tests.support.process import serve
-from tests.support.rosbridge import Client
+from tests.support.rosbridge import Client, publish_until_driven
 from tests.support.stopwatch import Stopwatch
 
 pytestmark = pytest.mark.quiet
@@ -32,7 +30,7 @@ async def test_velocities_that_waited_meanwhile_move_no_robot() -> None:
         program = Client(socket)
         await daemon.read_log("robot.appeared")
         await program.send(op="advertise", topic=TOPIC, type="geometry_msgs/Twist")
-        await drive(program, device)
+        await publish_until_driven(program, device, MOVING[0])
         daemon.child.send_signal(signal.SIGSTOP)
         for _ in range(20):
             await program.send(op="publish", topic=TOPIC, msg=TWIST)
@@ -41,17 +39,7 @@ async def test_velocities_that_waited_meanwhile_move_no_robot() -> None:
         daemon.child.send_signal(signal.SIGCONT)
         await daemon.read_log("daemon.stalled")
         assert await velocities(device) <= {STILL}
-        await drive(program, device)
-
-
-async def drive(program: Client, device: FakeDevice) -> None:
-    """Publish a velocity until the device receives one: on a busy machine the daemon may be late, and refuse it."""
-    while True:
-        await program.send(op="publish", topic=TOPIC, msg=TWIST)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(2 * LEASE_S):
-                await device.velocity_of(MOVING)
-                return
+        await publish_until_driven(program, device, MOVING[0])
 
 
 async def velocities(device: FakeDevice) -> set[tuple[float, float]]:

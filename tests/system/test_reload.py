@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import run, serve
-from tests.support.rosbridge import Client
+from tests.support.rosbridge import Client, publish_until_driven
 from tests.support.waiting import is_soon
 
 
@@ -55,10 +55,8 @@ async def test_reload_with_a_file_that_blocks_keeps_driving_stopping_and_ending(
         await daemon.read_log("robot.appeared")
         async with session.ws_connect(daemon.url) as socket:
             program = Client(socket)
-            topic = "/robot_0/velocity_commands"
-            await program.send(op="advertise", topic=topic, type="geometry_msgs/Twist")
-            await program.send(op="publish", topic=topic, msg={"linear": {"x": 0.2}})
-            await device.velocity_of((0.2, 0.0))
+            await program.send(op="advertise", topic="/robot_0/velocity_commands", type="geometry_msgs/Twist")
+            await publish_until_driven(program, device, 0.2)
             threads = threads_of(daemon.pid)
             if what == "settings":
                 fifo.rename(file)
@@ -67,10 +65,8 @@ async def test_reload_with_a_file_that_blocks_keeps_driving_stopping_and_ending(
                 file.write_text(f'[[api.tokens]]\nname = "alice"\ntoken_file = "{token_file}"\n')
             for _ in range(5):
                 daemon.child.send_signal(signal.SIGUSR1)
-                await program.send(op="publish", topic=topic, msg={"linear": {"x": 0.3}})
-                await device.velocity_of((0.3, 0.0))
-                await program.send(op="publish", topic=topic, msg={"linear": {"x": 0.2}})
-                await device.velocity_of((0.2, 0.0))
+                await publish_until_driven(program, device, 0.3)
+                await publish_until_driven(program, device, 0.2)
             assert threads_of(daemon.pid) <= threads + 1
         await device.velocity_of((0.0, 0.0))  # its driver has gone
         assert await daemon.end(signal.SIGTERM) == 0
