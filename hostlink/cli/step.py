@@ -25,6 +25,7 @@ from hostlink.errors import (
     RefusalKind,
     Refused,
 )
+from hostlink.loop_time import loop_time_s
 from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import FULL_PWM, Record, Sample, StepFigures, make_record, step_figures
 
@@ -199,7 +200,7 @@ class StepRecorder:
         source = self._source
         async with self._host.subscribe(source.topic, type_name=source.type_name) as messages, self._stopping():
             await self._stand(messages)
-            began_s = _now_s()
+            began_s = loop_time_s()
             for stage in stages:
                 await self._drive(stage, messages)
             accepted = (await self._robot.state())["velocity"]
@@ -228,19 +229,19 @@ class StepRecorder:
 
     async def _stand(self, messages: Mailbox[dict[str, Any]]) -> None:
         """Stop the robot, and keep the last half second before the step."""
-        began_s, stopped_s = _now_s(), -math.inf
+        began_s, stopped_s = loop_time_s(), -math.inf
         rest = Stage(0.0, 0.0, 0.0, 0.0)
         while not self._stands():
-            if _now_s() >= stopped_s + STOP_INTERVAL_S:
-                stopped_s = _now_s()
+            if loop_time_s() >= stopped_s + STOP_INTERVAL_S:
+                stopped_s = loop_time_s()
                 await self._take_over()
             await asyncio.sleep(TICK_S)
             self._receive(messages, rest)
-            if not self._is_measured and _now_s() > began_s + FIRST_MESSAGE_S:
+            if not self._is_measured and loop_time_s() > began_s + FIRST_MESSAGE_S:
                 raise HostlinkError(
                     f"{self._source.topic} had no message in {FIRST_MESSAGE_S:g} s; `hostlink doctor` finds out why"
                 )
-            if _now_s() > began_s + STANDING_TIMEOUT_S:
+            if loop_time_s() > began_s + STANDING_TIMEOUT_S:
                 raise HostlinkError(
                     f"{self._robot.name} still moves {STANDING_TIMEOUT_S:g} s after the stop, and a step begins with a "
                     "stopped robot; lift its wheels or end what moves it"
@@ -266,20 +267,20 @@ class StepRecorder:
         return bool(self._arrivals_s) and self._arrivals_s[-1] - self._arrivals_s[0] >= STANDING_S
 
     async def _drive(self, stage: Stage, messages: Mailbox[dict[str, Any]]) -> None:
-        end_s = _now_s() + stage.seconds
-        self._ran_at_s, self._commanded_at_s = _now_s(), -math.inf
+        end_s = loop_time_s() + stage.seconds
+        self._ran_at_s, self._commanded_at_s = loop_time_s(), -math.inf
         self._show(f"driving at {stage.speed_m_s:.2f} m/s; Ctrl-C stops")
-        while _now_s() < end_s:
+        while loop_time_s() < end_s:
             await self._command(stage)
-            await asyncio.sleep(min(TICK_S, max(0.0, end_s - _now_s())))
+            await asyncio.sleep(min(TICK_S, max(0.0, end_s - loop_time_s())))
             self._receive(messages, stage)
-            if _now_s() > self._arrivals_s[-1] + SILENCE_S:
+            if loop_time_s() > self._arrivals_s[-1] + SILENCE_S:
                 raise HostlinkError(
                     f"{self._source.topic} had no message for {SILENCE_S:g} s; the robot was sent a stop"
                 )
 
     async def _command(self, stage: Stage) -> None:
-        now_s = _now_s()
+        now_s = loop_time_s()
         if now_s > self._ran_at_s + LONGEST_PAUSE_S:
             raise HostlinkError(
                 f"this program was paused for {now_s - self._ran_at_s:.1f} s; the robot was sent a stop"
@@ -295,7 +296,7 @@ class StepRecorder:
     def _receive(self, messages: Mailbox[dict[str, Any]], stage: Stage) -> None:
         for message in messages.pop_all():
             self._is_measured = True
-            self._arrivals_s.append(_now_s())
+            self._arrivals_s.append(loop_time_s())
             self._samples.append(self._source.read(message, stage))
 
 
@@ -321,10 +322,6 @@ async def separation_of(host: Host, robot: str) -> float:
     if parameter and LEAST_SEPARATION_M <= parameter[0] <= MOST_SEPARATION_M:
         return parameter[0]
     return (await host.robot(robot).state()).get("wheel_separation_m") or SEPARATION_M
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()
 
 
 # -- step picture -----------------------------------------------------------------------------------------------------

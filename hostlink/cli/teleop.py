@@ -25,6 +25,7 @@ from hostlink.cli.teleop_screen import UNLOCK_KEY, OwnState, lost_screen, screen
 from hostlink.client import DEFAULT_URL, Event, Host, Refusal, Robot, RobotState, connect
 from hostlink.client.views import Twist
 from hostlink.errors import ConfigError, HostlinkError, RefusalKind, UnknownTopic
+from hostlink.loop_time import loop_time_s
 from hostlink.robot.standstill import DriveWatch, Speeds
 
 # -- terminal ---------------------------------------------------------------------------------------------------------
@@ -127,10 +128,10 @@ class KeyDriver:
         if refused is not None and refused is not before:  # another command was refused
             self.refusal = refused.reason
             if refused.kind != RefusalKind.HELD:
-                self._driving.bar(_now_s())
+                self._driving.bar(loop_time_s())
         elif refused is None and self._is_moving:  # a velocity was accepted; a zero always is
             self.refusal = ""
-        velocity = self._driving.due(_now_s())
+        velocity = self._driving.due(loop_time_s())
         if velocity is not None:
             await self.send(velocity)
 
@@ -151,7 +152,7 @@ class KeyDriver:
         """Unlock the robot if it is locked. Held keys have no effect until they are released and pressed again."""
         if not self._watched.state.get("locked"):
             return
-        self._driving.bar(_now_s())
+        self._driving.bar(loop_time_s())
         try:
             await self._robot.unlock()
             self.refusal = ""
@@ -160,14 +161,10 @@ class KeyDriver:
 
     async def finish(self) -> None:
         """Send the remaining zeros at the end."""
-        while (velocity := self._driving.due(_now_s())) is not None or self._driving.is_ending:
+        while (velocity := self._driving.due(loop_time_s())) is not None or self._driving.is_ending:
             if velocity is not None:
                 await self.send(velocity)
             await asyncio.sleep(TICK_S)
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()
 
 
 # -- command ----------------------------------------------------------------------------------------------------------
@@ -219,7 +216,7 @@ async def _teleop(url: str, token: str | None, name: str | None, driving: Drivin
                 async with connect(url, token=token, reconnect=False) as host:
                     await _drive(host, found, keyboard, layout)
             except HostlinkError as lost:
-                keyboard.driving.bar(_now_s())  # held keys must not move the robot when the connection returns
+                keyboard.driving.bar(loop_time_s())  # held keys must not move the robot when the connection returns
                 draw(lost_screen(found, str(lost), width=terminal_size()[0] - 1))
                 await keyboard.wait(RETRY_S)
 
@@ -239,11 +236,13 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> N
         try:
             while not keyboard.is_done:
                 await _obey(keyboard, driver)
-                if _now_s() >= draw_at_s:
-                    draw_at_s = _now_s() + DRAW_INTERVAL_S
+                if loop_time_s() >= draw_at_s:
+                    draw_at_s = loop_time_s() + DRAW_INTERVAL_S
                     _observe(watch, watched.state)
                     own = OwnState(robot.client_name, driver.refusal, watch.warning)
-                    draw(screen(watched.state, driving, _now_s(), own, layout=layout, width=terminal_size()[0] - 1))
+                    draw(
+                        screen(watched.state, driving, loop_time_s(), own, layout=layout, width=terminal_size()[0] - 1)
+                    )
                 await keyboard.wait(TICK_S)
         finally:
             driving.stop()
@@ -255,7 +254,7 @@ def _observe(watch: DriveWatch, state: RobotState) -> None:
     odometry = state["odometry"]
     measured = None if odometry is None else _speeds(odometry["twist"])
     age_s = 0.0 if odometry is None else odometry["age_s"]
-    watch.observe(_speeds(state["velocity"]), measured, _now_s(), age_s=age_s)
+    watch.observe(_speeds(state["velocity"]), measured, loop_time_s(), age_s=age_s)
 
 
 def _speeds(twist: Twist) -> Speeds:
@@ -342,7 +341,7 @@ class _Keyboard:
         elif not self.is_done:  # a key that is still held must not drive after Ctrl-C
             self._wants_stop |= key.name in STOP_KEYS
             self._wants_unlock |= key == Key(UNLOCK_KEY)
-            self.driving.receive(key, _now_s())
+            self.driving.receive(key, loop_time_s())
 
     def _quit(self) -> None:
         self.driving.stop()

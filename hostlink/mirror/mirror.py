@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, Generic, Protocol, TypeVar
 
+from hostlink.loop_time import loop_time_s
 from hostlink.mirror.reconciler import Close, Key, Open, Reconciler, Spec
 
 
@@ -91,7 +92,7 @@ class Mirror(Generic[Key, Spec, Made]):
     def ended(self, key: Key, error: Exception | None = None) -> None:
         """An endpoint ended by itself; `error`: why, if that was a failure."""
         self.endpoints.pop(key, None)
-        self._reconciler.ended(key, _now_s(), has_failed=error is not None)
+        self._reconciler.ended(key, loop_time_s(), has_failed=error is not None)
         self._work()
 
     def report(self, key: Key, error: Exception) -> None:
@@ -109,14 +110,14 @@ class Mirror(Generic[Key, Spec, Made]):
         if self._is_working or (self._is_paused and not is_due):
             return
         self._is_working = True
-        until_s, is_finished = _now_s() + self._slice_s, False
+        until_s, is_finished = loop_time_s() + self._slice_s, False
         try:
             while not is_finished:
-                action = None if self._is_closed and not self.endpoints else self._reconciler.next(_now_s())
+                action = None if self._is_closed and not self.endpoints else self._reconciler.next(loop_time_s())
                 is_finished = action is None
                 if action is not None:
                     self._perform(action)
-                    if _now_s() >= until_s:
+                    if loop_time_s() >= until_s:
                         break
         finally:
             self._is_working = False
@@ -125,7 +126,7 @@ class Mirror(Generic[Key, Spec, Made]):
     def _expect(self, *, is_finished: bool) -> None:
         """Work again after a pause, or when a failure is due."""
         self._is_paused = not is_finished and self._slice_s < math.inf
-        at_s = self._reconciler.due_s if is_finished else _now_s() + (self._slice_s if self._is_paused else 0.0)
+        at_s = self._reconciler.due_s if is_finished else loop_time_s() + (self._slice_s if self._is_paused else 0.0)
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -143,7 +144,7 @@ class Mirror(Generic[Key, Spec, Made]):
                 self._reconciler.done(action, is_settled=self._is_settled)
         except Exception as error:  # noqa: BLE001 - any failure concerns this endpoint alone
             if isinstance(action, Open):
-                self._reconciler.failed(action, _now_s())
+                self._reconciler.failed(action, loop_time_s())
             self._on_failure(key, error)
 
 
@@ -170,7 +171,3 @@ class Served(Generic[Key]):
             self._mirror.ended(self._key, failure)
         if failure is not None:
             self._mirror.report(self._key, failure)
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

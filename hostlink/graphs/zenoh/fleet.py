@@ -37,6 +37,7 @@ from hostlink.graphs.zenoh.session import Declaration, Token, ZenohSample, Zenoh
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot, RemoteRobot, RobotHosts
 from hostlink.logs import of_peer, printable
+from hostlink.loop_time import loop_time_s
 from hostlink.mirror.inbox import SLICE_S
 from hostlink.mirror.mirror import Mirror
 
@@ -66,11 +67,11 @@ class FleetStates:
 
     def greet(self) -> None:
         """Send the state repeatedly for a moment, because another daemon has appeared."""
-        self._greeting_until_s = _now_s() + GREETING_S
+        self._greeting_until_s = loop_time_s() + GREETING_S
 
     def tick(self, topics: int) -> None:
         """Send what has changed; `topics`: the number of the list of topics."""
-        now_s = _now_s()
+        now_s = loop_time_s()
         states = self.states()
         known = (topics, *(msgspec.structs.replace(each, **_UNSTEADY) for each in states))
         if now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known:
@@ -163,11 +164,11 @@ class FleetRobots:
             self._apply_due()
 
     def _apply_due(self) -> None:
-        ends_s = _now_s() + SLICE_S
+        ends_s = loop_time_s() + SLICE_S
         while self._due:
             with self._hub.isolation.around("graph", graph="fleet"):
                 self.apply((self._due.popitem(last=False)[0],))
-            if _now_s() >= ends_s:
+            if loop_time_s() >= ends_s:
                 asyncio.get_running_loop().call_soon(self._apply_due)
                 return
         self._is_due = False
@@ -240,7 +241,7 @@ class FleetRobots:
         """Follow the motions of one daemon's robots."""
         sender, live = self._transport.keys.sender(sample.key), self._transport.decode(sample.payload, LIVE)
         if sender is not None and live is not None:
-            self.apply_soon(self._roster.receive_motions(sender, live, _now_s()))
+            self.apply_soon(self._roster.receive_motions(sender, live, loop_time_s()))
 
     def end(self) -> None:
         """Remove all robots of other daemons."""
@@ -296,7 +297,7 @@ class Fleet:
             transport.session.serve(transport.key("topics"), self._topics.answer),
             transport.session.declare_token(transport.key("alive")),
         ]
-        self._find_daemons(_now_s())
+        self._find_daemons(loop_time_s())
         self._topics.begin()
         self._hub.gates.reach(self._requests)
 
@@ -332,7 +333,7 @@ class Fleet:
         )
 
     def _tick(self) -> None:
-        now_s, transport = _now_s(), self._transport
+        now_s, transport = loop_time_s(), self._transport
         self._states.tick(self._topics.number)
         self._drivers.tick(now_s)
         self._requests.tick()
@@ -362,7 +363,7 @@ class Fleet:
         with bound_contextvars(**of_peer("fleet")):
             if not token.is_alive:
                 self._lose(sender)
-            elif self._roster.appear(sender, _now_s()):
+            elif self._roster.appear(sender, loop_time_s()):
                 self._states.greet()
                 log.info("fleet.daemon_appeared", host=printable(sender.name), zid=printable(sender.zid))
                 self._compare_name(sender)
@@ -379,14 +380,14 @@ class Fleet:
             return
         log.warning("fleet.daemon_gone", host=printable(sender.name), zid=printable(sender.zid))
         self._drivers.leave(sender.zid)
-        self._robots.apply_soon(self._roster.leave(sender.zid, _now_s()))
+        self._robots.apply_soon(self._roster.leave(sender.zid, loop_time_s()))
 
     def _receive_state(self, sample: ZenohSample) -> None:
         neighbour = self._roster.announced(self._transport.keys.sender(sample.key))
         state = None if neighbour is None else self._transport.decode(sample.payload, STATE)
         if neighbour is None or state is None:
             return
-        now_s = _now_s()
+        now_s = loop_time_s()
         neighbour.freshness.late_s(state.sent_s, now_s)
         self._robots.apply_soon(self._roster.receive(neighbour.sender, state, now_s))
         if state.topics != neighbour.topics:
@@ -425,7 +426,3 @@ async def fleet_running(hub: Hub, session: ZenohSession, config: ZenohConfig) ->
 def sender_name(host: str) -> str:
     """Return the name of a host in a form that a key may contain."""
     return "".join(char if char.isalnum() or char in "._-" else "-" for char in host)[:64] or "host"
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

@@ -36,6 +36,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot, RemoteRobot
 from hostlink.logs import of_peer, printable
+from hostlink.loop_time import loop_time_s
 from hostlink.robot.velocity import PlanarVelocity, Twist
 
 MAX_DRIVERS = 64  # of one daemon; over it the driver leaves whose last command is the oldest
@@ -142,7 +143,7 @@ class FleetDrivers:
             raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
         if neighbour.is_silent:  # it has sent nothing by which its clock is known
             raise DeviceGone(robot.name, "the daemons have just met; try again")
-        received_s = _now_s() - neighbour.freshness.late_s(request.sent_s, _now_s())
+        received_s = loop_time_s() - neighbour.freshness.late_s(request.sent_s, loop_time_s())
         participant = self._participant(neighbour, request.owner, request.owner_name)
         limited = participant.drive(
             robot, velocity, priority=request.priority, received_s=received_s, epoch=request.epoch
@@ -174,7 +175,7 @@ class FleetDrivers:
         if driver is None or driver.participant.has_left:
             who = f"{printable(name)} at {printable(neighbour.sender.name)}"
             driver = _FleetDriver(self._hub.join(who, group=GROUP), 0.0)
-        driver.commanded_at_s = _now_s()
+        driver.commanded_at_s = loop_time_s()
         drivers[number] = driver
         if len(drivers) > MAX_DRIVERS:
             self._transport.counts["excess_drivers"] += 1
@@ -187,10 +188,6 @@ def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None) -> Fle
     owner = None if holder is None else str(holder)
     epoch = None if robot is None else robot.admission.epoch
     return FleetAnswer(number=number, error=error.kind, reason=str(error)[:512], owner=owner, epoch=epoch)
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()
 
 
 log = structlog.get_logger()
@@ -261,7 +258,7 @@ class FleetRequests:
         Raises:
             HostlinkError: the previous command was refused, and its sender does not know it yet.
         """
-        neighbour, now_s = self._neighbour(robot), _now_s()
+        neighbour, now_s = self._neighbour(robot), loop_time_s()
         before = self._newest.pop((owner, robot.name), None)
         if before is not None and not velocity.is_zero:
             self._raise_refusal(before, now_s)
@@ -328,7 +325,7 @@ class FleetRequests:
         """
         zid = self._neighbour(robot).sender.zid
         request = Unlock(number=next(self._numbers), robot=robot.name)
-        self._send(_Unsettled(request, "drive", zid, {zid: robot.host}, _now_s(), "unlock"))
+        self._send(_Unsettled(request, "drive", zid, {zid: robot.host}, loop_time_s(), "unlock"))
 
     async def settled(self) -> None:
         """Wait until every daemon has answered the stops, locks and unlocks so far.
@@ -380,7 +377,7 @@ class FleetRequests:
 
         An unlock is sent once: a repetition would end a later lock.
         """
-        now_s = _now_s()
+        now_s = loop_time_s()
         for number, each in list(self._unsettled.items()):
             if now_s > each.since_s + 2 * ANSWER_TIMEOUT_S:
                 del self._unsettled[number]
@@ -414,7 +411,7 @@ class FleetRequests:
             for each in self._roster.all()
             if any(each.is_connected(robot) for robot in each.robots if request.robot in (None, robot))
         }
-        self._send(_Unsettled(request, "stop", "", missing, _now_s(), what))
+        self._send(_Unsettled(request, "stop", "", missing, loop_time_s(), what))
 
     def _send(self, unsettled: _Unsettled) -> None:
         """Send a request. `tick` repeats a stop or a lock until the daemons that are missing have answered."""
