@@ -20,7 +20,7 @@ from hostlink.api.foxglove import (
 from hostlink.api.foxglove_protocol import ServiceCall, decode_frame, encode_message, encode_response
 from hostlink.errors import BadRequest
 from hostlink.hub.node import Role
-from hostlink.hub.participant import MAX_SUBSCRIPTIONS
+from hostlink.hub.participant import MAX_SUBSCRIPTIONS, Participant
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.foxglove_memory import Peer, World, world
 from tests.support.virtual_loop import within
@@ -34,6 +34,14 @@ def text(data: str) -> bytes:
 
 def channel(number: int, topic: str, type_name: str = "std_msgs/String", encoding: str = "ros1") -> dict[str, Any]:
     return {"id": number, "topic": topic, "encoding": encoding, "schemaName": type_name}
+
+
+async def advertised(peer: Peer, robot: Participant, *topics: str) -> dict[str, int]:
+    """Advertise topics of texts; returns the ids of the client's channels, by topic."""
+    for topic in topics:
+        robot.advertise(topic, "std_msgs/String")
+    await asyncio.sleep(SETTLE_S)
+    return {each["topic"]: each["id"] for each in peer.channels()}
 
 
 async def number_of(peer: Peer, topic: str) -> int:
@@ -118,10 +126,7 @@ async def test_many_channels_are_advertised_in_batches(here: World) -> None:
 @within(world)
 async def test_slow_client_loses_oldest_of_the_topic_that_fills_its_queue(here: World) -> None:
     peer, robot = here.client(), here.hub.join("robot")
-    for topic in ("/much", "/rare"):
-        robot.advertise(topic, "std_msgs/String")
-    await asyncio.sleep(SETTLE_S)
-    ids = {each["topic"]: each["id"] for each in peer.channels()}
+    ids = await advertised(peer, robot, "/much", "/rare")
     wanted = [{"id": number, "channelId": ids[topic]} for number, topic in enumerate(("/much", "/rare"))]
     peer.send(op="subscribe", subscriptions=wanted)
     robot.publish("/rare", text("first"))
@@ -362,10 +367,7 @@ async def test_all_refusals_of_one_request_have_one_status(here: World) -> None:
 @within(world)
 async def test_subscription_id_and_channel_are_used_once(here: World) -> None:
     peer, robot = here.client(), here.hub.join("robot")
-    for topic in ("/a", "/b"):
-        robot.advertise(topic, "std_msgs/String")
-    await asyncio.sleep(SETTLE_S)
-    ids = {each["topic"]: each["id"] for each in peer.channels()}
+    ids = await advertised(peer, robot, "/a", "/b")
     for number, topic in ((1, "/a"), (1, "/b"), (2, "/a")):
         peer.send(op="subscribe", subscriptions=[{"id": number, "channelId": ids[topic]}])
     assert peer.statuses() == ["subscribe: the id 1 is in use", "subscribe: /a is subscribed already"]
