@@ -1,8 +1,9 @@
 """Install what `make test-all` needs: `python tools/install_for_tests.py --lane TARGET TARGET ... --lane TARGET ...`.
 
 A lane is a list of targets of make that are made in turn; lanes run side by side. Each target has a line when it
-begins, with its usual size, and a line when it ends, with its time. pip, npm and apt keep what they have downloaded, for other
-clones too. A target that fails does not end the others: the tests that need it are listed as not run.
+begins, with its usual size, and a line when it ends, with its time. pip, npm and apt keep what they have downloaded,
+for other clones too. A target that fails does not end the others: the tests that need it are listed as not run. Only
+the first target must succeed: it has what runs the tests.
 """
 
 import argparse
