@@ -119,7 +119,7 @@ class Device:
         self.robot: LocalRobot | None = None  # set by Robots
         self.drivables: list[Drivable] = []  # set by Gates
         self.guarded_ids: list[int] = []  # ids of the velocity topics that the guardian stops; set by Gates
-        self.routes: dict[int, Topic] = {}  # topic of each id from the device
+        self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()
         self.names: frozenset[str] = frozenset()  # names of its topics in the graph
         self.services: dict[str, DeviceService] = {}  # services of the device, by announced name

@@ -450,3 +450,34 @@ def test_frame_to_returns_the_frame_that_publish_queues() -> None:
     outgoing = host.session.pop_frame(now_s=host.now_s, wall_ns=0)
     assert outgoing is not None
     assert outgoing.frame == frame
+
+
+def test_one_id_may_be_that_of_a_publisher_and_of_a_subscriber() -> None:
+    """Ids are per direction: nnarain/rosserial-rs numbers both from 125."""
+    led = LED._replace(topic_id=ODOMETRY.topic_id)
+    for infos in ((ODOMETRY, led), (led, ODOMETRY)):
+        host = Host(*infos)
+        assert host.session.topics == (led, ODOMETRY)
+        assert host.session.refusals == ()
+        assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
+        assert host.receive(encode(125, bytes(23))) == []
+        assert host.session.rejected == {"wrong_size": 1}
+        host.session.publish("/led", b"\x01")
+        assert host.sent() == [Frame(125, b"\x01")]
+        with pytest.raises(WrongType):
+            host.session.publish("/led", bytes(24))
+
+
+def test_refused_subscriber_leaves_the_publisher_of_its_id() -> None:
+    host = Host(ODOMETRY, LED._replace(topic_id=ODOMETRY.topic_id, md5="wrong"))
+    assert host.session.topics == (ODOMETRY,)
+    assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
+    with pytest.raises(WrongType):
+        host.session.publish("/led", b"\x01")
+
+
+def test_frame_from_the_device_with_the_id_of_a_subscriber_is_refused_and_causes_no_request() -> None:
+    host = Host(ODOMETRY, LED)
+    host.receive(encode(LED.topic_id, b"\x01"))
+    assert (host.session.counts.refused_frames, host.session.counts.unknown_ids) == (1, 0)
+    assert host.requests() == []
