@@ -230,28 +230,31 @@ class Session:
         else:
             self.outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 
-    def send_last(self, frame: bytes) -> None:
-        """Queue a frame for an endpoint that the device may still have. Drop it if its id has a new meaning."""
-        topic_id: int = HEADER.unpack_from(frame)[3]
-        if self._topics.by_key.get(to_device_key(topic_id)) is None:
-            self.outbox.put_urgent(topic_id, frame)
+    def send_zero(self, info: TopicInfo, payload: bytes, *, is_kept: bool = False) -> bool:
+        """Queue a zero velocity for an endpoint that has taken one before, unless its id has a new meaning since.
 
-    def frame_to(self, topic: str, payload: bytes) -> bytes:
-        """Encode a message to the device, as `publish` would queue it.
+        A damaged announcement may have changed or removed the endpoint, which the device has all the same: a zero is
+        not refused for that. Return whether it was queued.
+        """
+        may_have = self.may_have(info)
+        if may_have:
+            self.outbox.put_urgent(info.topic_id, encode(info.topic_id, payload), is_kept=is_kept)
+        return may_have
+
+    def may_have(self, info: TopicInfo) -> bool:
+        """Whether the device may still have this endpoint: its id has no other name and type now."""
+        now = self._topics.by_key.get(info.key)
+        return now is None or now.name == info.name or now.type == info.type
+
+    def endpoint_of(self, topic: str, payload: bytes) -> TopicInfo:
+        """Return the endpoint of a topic to which the device subscribes. It takes messages as long as this one.
 
         Raises:
             HostlinkError: as from `publish`.
         """
-        return self._encode(self._endpoint("topic", topic, Id.SUBSCRIBER), payload)
-
-    def topic_id(self, topic: str) -> int:
-        """Return the id of a topic to which the device subscribes.
-
-        Raises:
-            UnknownTopic: the device does not subscribe to it.
-            WrongType: the topic was refused.
-        """
-        return self._endpoint("topic", topic, Id.SUBSCRIBER).topic_id
+        info = self._endpoint("topic", topic, Id.SUBSCRIBER)
+        self._encode(info, payload)
+        return info
 
     def call(self, service: str, payload: bytes) -> None:
         """Queue a request to a service of the device.
@@ -467,7 +470,12 @@ class Session:
         has_dropped, self._has_dropped = self._has_dropped, False
         gap_at = self._topics.gap()
         is_unconfirmed = self._is_lossy and is_changed
-        self.negotiation.finish(gap_at, is_short=bool(self._topics.missing), is_unconfirmed=is_unconfirmed)
+        self.negotiation.finish(
+            gap_at,
+            is_short=bool(self._topics.missing),
+            is_altered=self._topics.is_altered,
+            is_unconfirmed=is_unconfirmed,
+        )
         return events.TopicsNegotiated(known, is_changed or has_dropped, gap_at)
 
     def _request_if_due(self, now_s: float, found: list[events.Event]) -> None:

@@ -55,6 +55,11 @@ class TopicTable:
         """Whether the current negotiation has announced fewer endpoints than the one before, and contradicted none."""
         return not self._redefined and len(self._announced) < len(self._complete)
 
+    @property
+    def is_altered(self) -> bool:
+        """Whether the current negotiation gave a key another meaning than the one before, by a new program or damage."""
+        return any(self._complete.get(key, info) != info for key, info in self._announced.items())
+
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
         """Add one TopicInfo of the current negotiation. Call it only if there `is_room`."""
         key = info.key
