@@ -23,6 +23,7 @@ from hostlink.hub.robot_events import (
     HOST_AWAY,
     LEASE_ENDED,
     LET_GO,
+    NOT_TAKEN,
     OVERRULED,
     OWNER_LEFT,
     WAS_STOPPED,
@@ -283,7 +284,7 @@ class Gates:
             self._guardian.release(connection.link.number)
 
     def give_up_lost(self, connection: "Device") -> None:
-        """Detach lost velocity topics when their zeros were sent, because the device announced the same topics again."""
+        """Detach lost velocity topics when their zeros were sent: the device has announced the same topics again."""
         for drivable in connection.drivables:
             if drivable.is_lost:
                 drivable.is_given_up = True
@@ -331,11 +332,14 @@ class Gates:
             command = self.timed(drivable.name, command, now_s)
             # Two zeros at the same time would become one frame on a slow line.
             is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
+            driver = gate.owner
             limited = gate.command(command, now_s=now_s)
             refusal = None if is_stopping else self._step(drivable, now_s, is_news=True)
             if refusal is not None:
                 gate.admission.withdraw(owner)
                 gate.stop(now_s=now_s)
+                if driver is not None:
+                    self._note_stop(drivable, NOT_TAKEN, str(driver))
                 raise refusal
         except HostlinkError as error:
             if not (velocity.is_zero and command.is_planar):
@@ -533,12 +537,13 @@ class Gates:
         try:
             if is_fed and gate.stays(now_s):
                 return None
-            previous, is_first, previous_target = gate.driver, gate.is_new_device, gate.target
+            is_first = gate.is_new_device
             velocity = gate.step(now_s)
-            if previous is not None and gate.driver is None:
+            ended = gate.pop_ended()
+            if ended is not None:
                 was_away = self._stalls.pauses(now_s).was_paused(now_s - LEASE_S)
-                reason = HOST_AWAY if was_away else LET_GO if previous_target.is_zero else LEASE_ENDED
-                self._note_stop(drivable, reason, str(previous.source))
+                reason = HOST_AWAY if was_away else LET_GO if ended.was_let_go else LEASE_ENDED
+                self._note_stop(drivable, reason, str(ended.lease.source))
             if velocity is None or connection is None:
                 return None
             link = connection.link
@@ -570,6 +575,12 @@ class Gates:
             self._isolation.crashed("robot", error, robot=drivable.name)
             return DeviceGone(drivable.name)
         return None
+
+    def note_end(self, drivable: Drivable, reason: str) -> None:
+        """Note that a drive ends, if there is one. The caller ends it."""
+        owner = drivable.gate.owner_name
+        if owner is not None:
+            self._note_stop(drivable, reason, owner)
 
     def _note_stop(self, drivable: Drivable, reason: str, owner: str) -> None:
         log.info("robot.stopped", robot=drivable.name, reason=reason, owner=owner)

@@ -17,7 +17,7 @@ class TopicTable:
     missing endpoint is kept until MAX_MISSED negotiations in a row lack it. Otherwise a robot whose velocity topic was
     lost could not be stopped, and one whose odometry was lost would stop.
 
-    Keys are those of `TopicInfo.key`, because ids are per direction: a frame's id finds what comes from the device.
+    Keys are those of `TopicInfo.key`, because ids are per direction: a frame's id is the key of what the device sends.
 
     `fixed_bytes` is a live view for the FrameStream: key -> the only payload size that its type can have. `excess`
     counts the endpoints of the current negotiation that exceed `max_topics` and were not added.
@@ -57,7 +57,7 @@ class TopicTable:
 
     @property
     def is_altered(self) -> bool:
-        """Whether the current negotiation gave a key another meaning than the one before, by a new program or damage."""
+        """Whether the current negotiation gave a key another meaning than the one before: a new program, or damage."""
         return any(self._complete.get(key, info) != info for key, info in self._announced.items())
 
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:

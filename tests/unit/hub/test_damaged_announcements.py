@@ -54,7 +54,7 @@ async def driven(made: MemoryHub) -> ScriptedDevice:
 
 @alone
 @damages
-def test_it_receives_zero_at_once_and_is_driven_again_after_a_second_announcement(
+def test_robot_receives_zero_at_once_and_is_driven_again_after_a_second_announcement(
     damaged: TopicInfo, is_alone: bool
 ) -> None:
     async def test(made: MemoryHub) -> None:
@@ -94,7 +94,7 @@ def test_all_of_its_zeros_are_sent_and_it_stays_guarded_while_the_damage_lasts(d
 
 
 @pytest.mark.parametrize("damage", ["md5", "type", "id", "publisher"])
-def test_it_is_given_up_after_its_zeros_if_a_second_announcement_is_the_same(damage: str) -> None:
+def test_endpoint_is_given_up_after_its_zeros_if_a_second_announcement_is_the_same(damage: str) -> None:
     async def test(made: MemoryHub) -> None:
         device = await driven(made)
         device.infos = with_damage(DAMAGES[damage])

@@ -10,7 +10,7 @@ from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused, DeviceGone, FrameTooLarge, HostlinkError, RefusalKind
 from hostlink.hub.gates import FEED_INTERVAL_S, MAX_GUARDED, Refusals, is_velocity
 from hostlink.hub.node import Node
-from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.hub.robot_events import LEASE_ENDED, LET_GO, NOT_TAKEN, OTHER_TOPICS, EventKind, RobotEvent
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
@@ -227,11 +227,12 @@ def test_command_that_does_not_fit_the_device_ends_the_drive_of_its_source() -> 
         with pytest.raises(FrameTooLarge):
             drive_gate(made.robot(), FAST, owner="ann")
         assert made.robot().gate.owner is None
-        assert [each.kind for each in events] == [EventKind.REFUSED]
+        assert [each.kind for each in events] == [EventKind.STOPPED, EventKind.REFUSED]
+        assert (events[0].facts["owner"], events[0].facts["reason"]) == ("ann", NOT_TAKEN)
         assert made.robot().refusals.count == 1
         with pytest.raises(HostlinkError):
             drive_gate(made.robot(), ZERO, owner="ann")
-        assert len(events) == 1  # a refused zero is not recorded
+        assert len(events) == 2  # a refused zero is not recorded
 
     in_hub(test)
 
@@ -500,5 +501,46 @@ def test_link_ends_with_one_zero_for_each_velocity_topic_also_after_another_anno
         await asyncio.sleep(1.5)
         other = encode(201, ZERO.encode())
         assert device.link.last_frame in (zero + other, other + zero)
+
+    in_hub(test)
+
+
+@pytest.mark.parametrize(
+    ("owner", "velocity", "reason"),
+    [("ann", ZERO, LET_GO), ("bob", ZERO, LEASE_ENDED), ("bob", SLOW, LEASE_ENDED), ("ann", SLOW, LEASE_ENDED)],
+)
+def test_drive_whose_lease_ends_as_a_command_arrives_is_reported_once(
+    owner: str, velocity: PlanarVelocity, reason: str
+) -> None:
+    """The command notices the end of the lease before the clock of the gates does."""
+
+    async def test(made: MemoryHub) -> None:
+        await made.connect()
+        await asyncio.sleep(1.0)
+        drive_gate(made.robot(), FAST, owner="ann")
+        events = events_of(made)
+        await asyncio.sleep(LEASE_S - 0.001)
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.burn(0.002)
+        drive_gate(made.robot(), velocity, owner=owner)
+        await asyncio.sleep(0.2)
+        found = [(each.facts["owner"], each.facts["reason"]) for each in events if each.kind is EventKind.STOPPED]
+        assert found == [("ann", reason)]
+
+    in_hub(test)
+
+
+def test_drive_ends_when_the_device_announces_other_topics() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        await asyncio.sleep(1.0)
+        drive_gate(made.robot(), SLOW, owner="ann")
+        events = events_of(made)
+        device.infos.append(topic(Id.PUBLISHER, 126, "/extra", "std_msgs/Bool"))
+        await device.announce()
+        await asyncio.sleep(0.05)
+        stops = [each.facts for each in events if each.kind is EventKind.STOPPED]
+        assert [(each["owner"], each["reason"]) for each in stops] == [("ann", OTHER_TOPICS)]
 
     in_hub(test)
