@@ -336,7 +336,7 @@ class Gates:
             limited = gate.command(command, now_s=now_s)
             refusal = None if is_stopping else self._step(drivable, now_s, is_news=True)
             if refusal is not None:
-                gate.admission.withdraw(owner)
+                gate.admission.end_drives(owner)
                 gate.stop(now_s=now_s)
                 if driver is not None:
                     self._note_stop(drivable, NOT_TAKEN, str(driver))
@@ -594,9 +594,9 @@ class Gates:
         Raises:
             HostlinkError: it does not fit the device.
         """
-        info, session = drivable.endpoint, link.session
-        if info is None or not velocity.is_zero or not session.send_zero(info, payload, is_kept=is_kept):
-            session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_kept)
+        info = drivable.endpoint
+        if info is None or not velocity.is_zero or not link.session.send_zero(info, payload, is_kept=is_kept):
+            link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_kept)
 
     def _send_last_zero(self, drivable: Drivable, connection: "Device") -> None:
         """Send the last zero. The device may have announced other topics, may have another link, or may be gone."""

@@ -1,6 +1,7 @@
 """A driven robot whose velocity topic is announced with damage that the checksum let pass: a zero still reaches it."""
 
 import asyncio
+import contextlib
 from collections.abc import Callable
 
 import pytest
@@ -151,5 +152,26 @@ def test_no_zero_is_sent_to_an_id_with_another_meaning() -> None:
         assert device.payloads(100) == []
         assert device.link.number not in made.guard.watched
         assert device.link.last_frame == b""
+
+    in_hub(test)
+
+
+@damages
+def test_source_that_drives_on_through_the_damage_must_let_go(damaged: TopicInfo) -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await driven(made)
+        device.heard.clear()
+        await announce(device, with_damage(damaged))
+        for _ in range(30):
+            with contextlib.suppress(HostlinkError):
+                drive_gate(made.robot(), SLOW)
+            await asyncio.sleep(0.1)
+        assert made.robot().link is device.link
+        after = velocities(device)
+        assert (0.1, 0.0) not in after[after.index((0.0, 0.0)) :]
+        await asyncio.sleep(LEASE_S)
+        drive_gate(made.robot(), SLOW)
+        await asyncio.sleep(0.01)
+        assert velocities(device)[-1] == (0.1, 0.0)
 
     in_hub(test)
