@@ -253,10 +253,10 @@ class LinkMonitor:
         """List what exceeds a buffer: by announced sizes, refused frames and the device's log."""
         fixed_bytes = self._session.fixed_bytes
         announced = [
-            f"{info.name}: a frame of {fixed_bytes[info.topic_id] + OVERHEAD_BYTES} bytes, the device takes "
+            f"{info.name}: a frame of {fixed_bytes[info.key] + OVERHEAD_BYTES} bytes, the device takes "
             f"{info.buffer_bytes}"
             for info in self._session.topics
-            if _is_too_small(info, fixed_bytes.get(info.topic_id))
+            if _is_too_small(info, fixed_bytes.get(info.key))
         ]
         return [text for text in (*announced, self._session.too_large, self._device_complaint) if text]
 

@@ -108,7 +108,7 @@ class Device:
 
     __slots__ = (
         "_awaited", "_hub", "_observers", "_odometry", "diagnosis", "drivables", "early", "guarded_ids",
-        "infos", "is_undecided", "link", "names", "parameters", "presence", "robot", "routes",
+        "infos", "is_undecided", "link", "lost", "names", "parameters", "presence", "robot", "routes",
         "services", "shown",
     )  # fmt: skip
 
@@ -119,7 +119,8 @@ class Device:
         self.robot: LocalRobot | None = None  # set by Robots
         self.drivables: list[Drivable] = []  # set by Gates
         self.guarded_ids: list[int] = []  # ids of the velocity topics that the guardian stops; set by Gates
-        self.routes: dict[int, Topic] = {}  # topic of each id from the device
+        self.lost: dict[str, TopicInfo] = {}  # velocity endpoints that an announcement gave up; set by Gates
+        self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()
         self.names: frozenset[str] = frozenset()  # names of its topics in the graph
         self.services: dict[str, DeviceService] = {}  # services of the device, by announced name
@@ -151,6 +152,7 @@ class Device:
         for name in self.services.keys() & self._awaited.keys():
             self.services[name].expect_late()
         self._awaited.clear()
+        self._stand_lost()
 
     def displace(self, name: str, type_name: str, robot: LocalRobot | None) -> None:
         """Remove the device from a topic, because the topic is another robot's own, with this type."""
@@ -184,12 +186,25 @@ class Device:
 
     def announced_again(self) -> None:
         """Send latched messages again: a board that announces the same topics may have restarted."""
+        self._hub.gates.give_up_lost(self)
         self._hub.topics.send_latched(self.link)
 
     def stand(self) -> None:
         """Send zero to every velocity topic: a reconnected robot may still obey an old command."""
         for info in filter(is_velocity, self.infos):
             self._hub.gates.attach(self._drivable(info, None), self)
+        self._stand_lost()
+
+    def _stand_lost(self) -> None:
+        """Send zero to velocity endpoints that the announcement lacks: it may be damaged, and the robot moves on.
+
+        They can be stopped, and are guarded, until the next announcement.
+        """
+        lost, self.lost = self.lost, {}
+        known = {each.endpoint.topic_id for each in self.drivables if each.endpoint is not None}
+        for info in lost.values():
+            if info.topic_id not in known and self.link.session.may_have(info):
+                self._hub.gates.attach(self._drivable(info, None), self, lost=info)
 
     def note_parameter(self, name: str, parameter: Parameter) -> None:
         """Note the answer to a parameter request. Of more than MAX_PARAMETERS names, the first are kept."""

@@ -305,7 +305,10 @@ class LocalRobot(Drivable, AnyRobot):
         stamp_ns = message.stamp_ns
         if reading.stamp_ns is not None and link is not None:  # by the device's clock
             stamp_ns = link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
-        self.odometry.update(reading.pose, now_s=message.at_s, wall_ns=stamp_ns, twist=reading.twist)
+        is_stamped = bool(reading.stamp_ns)
+        self.odometry.update(
+            reading.pose, now_s=message.at_s, wall_ns=stamp_ns, twist=reading.twist, is_stamped=is_stamped
+        )
         if self.odometry.count > count:
             for follow in tuple(self.followers.values()):  # one may leave meanwhile
                 follow(message)

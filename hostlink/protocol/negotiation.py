@@ -56,9 +56,9 @@ class NegotiationScheduler:
     |-------------|---------------------------------------------------------------------------------------------------|
     | REQUESTING  | at once after `open`, then after every 2 s without an answer                                      |
     | NEGOTIATING | never                                                                                             |
-    | READY       | unknown id, gap or damage (3 times each); no time request for 5 s, or no byte for 3.5 s from a    |
-    |             | device that requests the time; on a lossy transport 2 s after changed topics, but not while the   |
-    |             | device waits for a service                                                                        |
+    | READY       | unknown id, gap, damage or another meaning of an id (3 times each); no time request for 5 s, or   |
+    |             | no byte for 3.5 s from a device that requests the time; on a lossy transport 2 s after changed    |
+    |             | topics, but not while the device waits for a service                                              |
 
     A request waits until the last one is REQUEST_INTERVAL_S old.
     """
@@ -132,11 +132,17 @@ class NegotiationScheduler:
             self.pending = reason
 
     def forget_causes(self) -> None:
-        """Reset the request counts of all causes, because the topics changed."""
-        self._same_requests.clear()
+        """Reset the request counts of all causes but `altered`, because the topics changed."""
+        self._same_requests = Counter({"altered": self._same_requests["altered"]})
 
-    def finish(self, gap_at: int | None, *, is_short: bool = False, is_unconfirmed: bool = False) -> None:
-        """End the negotiation. It satisfies earlier requests; a loss during it causes a new one."""
+    def finish(
+        self, gap_at: int | None, *, is_short: bool = False, is_altered: bool = False, is_unconfirmed: bool = False
+    ) -> None:
+        """End the negotiation. It satisfies earlier requests; a loss during it causes a new one.
+
+        So does another meaning of an id (`is_altered`), because a checksum lets some damage pass: a robot whose
+        velocity topic was announced with damage cannot be driven.
+        """
         self._step(NegotiationStep.FINISHED)
         self.pending = None
         self._is_unconfirmed |= is_unconfirmed
@@ -150,6 +156,10 @@ class NegotiationScheduler:
             self.request_about("short", "missing")
         else:
             self._same_requests.pop("short", None)
+        if is_altered:
+            self.request_about("altered", "altered")
+        else:
+            self._same_requests.pop("altered", None)
         self._is_damaged = False
 
     @property

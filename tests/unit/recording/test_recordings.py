@@ -13,13 +13,15 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, RecordingConfig
 from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
+from hostlink.hub.robot_events import EventKind
 from hostlink.recording import recordings as module
 from hostlink.recording.channel import EVENTS
-from hostlink.recording.drives import Drive, DriveLog, append_drives, read_drives
+from hostlink.recording.drives import DIED, Drive, DriveLog, append_drives, read_drives
 from hostlink.recording.mcap_writer import FileThread
 from hostlink.recording.reader import McapReader
 from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recordings
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.waiting import expect
 
@@ -261,3 +263,23 @@ async def test_kept_drives_are_in_the_file(tmp_path: Path) -> None:
         await made._keep([DRIVE])
         await made._keep([])
     assert read_drives(tmp_path) == [DRIVE]
+
+
+async def test_drive_is_in_the_file_with_its_end_as_soon_as_it_ends(tmp_path: Path) -> None:
+    """A killed daemon writes no more. A drive that continues after a pause has no end again."""
+    slow = PlanarVelocity(0.1)
+    facts: dict[str, object] = {"owner": "ann", "address": "", "priority": 50, "velocity": slow, "limited": slow}
+    async with drive_log(tmp_path) as made:
+        events = made._hub.events
+
+        def ends() -> list[tuple[str, int]]:
+            return [(each.end, each.commands) for each in read_drives(tmp_path)]
+
+        for _ in range(3):
+            events.note(EventKind.COMMANDED, "rover", **facts)
+        events.note(EventKind.STOPPED, "rover", reason="let go", owner="ann")
+        await expect(lambda: ends() == [("let go", 3)])
+        events.note(EventKind.COMMANDED, "rover", **facts)
+        await expect(lambda: ends() == [(DIED, 4)])
+        events.note(EventKind.STOPPED, "rover", reason="let go", owner="ann")
+        await expect(lambda: ends() == [("let go", 4)])

@@ -637,6 +637,63 @@ def test_disarmed_source_is_never_forgotten_for_another(robot: Timeline) -> None
     assert robot.command(source="0").kind is RefusalKind.DISARMED
 
 
+def test_source_that_was_crowded_out_must_let_go_after_a_stop(robot: Timeline) -> None:
+    crowd(robot)
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    robot.wait(0.1)
+    robot.stop()
+    robot.wait(0.1)
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    robot.admission.withdraw("0")
+    robot.wait(LEASE_S - 0.01)
+    for _ in range(9):
+        assert robot.command(source="ann").kind is RefusalKind.DISARMED
+        robot.wait(0.1)
+    assert robot.command(ZERO, source="ann").is_admitted
+    assert robot.command(source="ann").is_admitted
+
+
+def test_source_whose_record_was_dropped_must_let_go_after_a_stop(robot: Timeline) -> None:
+    crowd(robot)
+    assert robot.command(source="ann", priority=60).is_admitted  # instead of "0"
+    robot.stop()
+    robot.admission.withdraw("1")
+    assert robot.command(source="0").kind is RefusalKind.DISARMED
+
+
+def test_source_without_a_record_drives_after_a_lease_without_a_crowd_or_with_the_epoch(robot: Timeline) -> None:
+    crowd(robot)
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    robot.stop()
+    robot.admission.withdraw("0")
+    robot.admission.withdraw("1")
+    assert robot.command(source="eve", epoch=robot.admission.epoch).is_admitted
+    robot.wait(LEASE_S)
+    assert robot.command(source="bob").is_admitted
+
+
+def test_source_that_was_crowded_out_drives_when_there_is_room_if_nothing_interrupted_it(robot: Timeline) -> None:
+    crowd(robot)
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    robot.wait(LEASE_S)
+    assert robot.command(source="ann").is_admitted
+
+
+def test_source_that_lost_its_device_gives_way_to_none(robot: Timeline) -> None:
+    crowd(robot)
+    robot.admission.disconnect(robot.now_s)
+    assert robot.command(source="ann", priority=60).kind is RefusalKind.CROWDED
+
+
+def test_source_whose_drives_are_ended_holds_no_robot_and_is_disarmed_by_a_stop(driven: Timeline) -> None:
+    driven.admission.end_drives("ann")
+    assert driven.driver() is None
+    assert not driven.admission.is_held(driven.now_s)
+    driven.stop()
+    assert driven.command().kind is RefusalKind.DISARMED
+    driven.admission.end_drives("nobody")
+
+
 def test_refusals_are_counted_by_kind(driven: Timeline) -> None:
     driven.stop()
     for _ in range(3):
