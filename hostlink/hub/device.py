@@ -168,19 +168,20 @@ class Device:
             for info in self.infos:
                 self._route_refused(info, robot)
 
-    def receive(self, message: MessageReceived, at_s: float | None = None) -> None:
-        """Publish a message of the device. `at_s` is its arrival time, if it did not arrive with the last read.
+    def receive(self, message: MessageReceived, read: tuple[float, float] | None = None) -> None:
+        """Publish a message of the device. `read` is when it was read and may have arrived; None: with the last read.
 
-        A played recording drives no robot.
+        A velocity is as old as it may be. A played recording drives no robot.
         """
-        topic_id, now_s = message.topic.topic_id, self.link.received_at_s
+        topic_id, link = message.topic.topic_id, self.link
+        read_s, came_s = (link.received_at_s, link.came_s) if read is None else read
         observe = self._observers.get(topic_id)
         if observe is not None:
             observe(message.payload)
         topic = self.routes.get(topic_id)
         if topic is not None and not (topic.is_gated and self.diagnosis.is_played):
             try:
-                topic.publish(message.payload, source=self.link, at_s=now_s if at_s is None else at_s)
+                topic.publish(message.payload, source=link, at_s=came_s if topic.is_gated else read_s)
             except HostlinkError as error:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
@@ -342,22 +343,22 @@ class EarlyMessages:
     __slots__ = ("_bytes", "_waiting")
 
     def __init__(self) -> None:
-        self._waiting: list[tuple[MessageReceived, float]] = []
+        self._waiting: list[tuple[MessageReceived, tuple[float, float]]] = []
         self._bytes = 0
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, message: MessageReceived, at_s: float) -> int:
-        """Add a message that arrived `at_s`. Return the number of dropped messages."""
+    def add(self, message: MessageReceived, read: tuple[float, float]) -> int:
+        """Add a message, with when it was read and may have arrived. Return the number of dropped messages."""
         before = len(self._waiting)
-        self._waiting.append((message, at_s))
+        self._waiting.append((message, read))
         self._bytes += len(message.payload)
         while len(self._waiting) > EARLY_MESSAGES or self._bytes > EARLY_BYTES:
             self._bytes -= len(self._waiting.pop(0)[0].payload)
         return before + 1 - len(self._waiting)
 
-    def pop_all(self) -> list[tuple[MessageReceived, float]]:
-        """Remove and return all messages with their arrival times."""
+    def pop_all(self) -> list[tuple[MessageReceived, tuple[float, float]]]:
+        """Remove and return all messages with their times."""
         waiting, self._waiting, self._bytes = self._waiting, [], 0
         return waiting

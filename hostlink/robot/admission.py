@@ -39,7 +39,8 @@ holds without a record of it: after an interruption that followed a `crowded` re
 lease, every source without a record is disarmed until a lease has passed without such a refusal. A
 zero that is refused arms its source all the same. An admitted command holds the robot at its priority for a lease. A
 source of the same priority takes the robot over. The lease of a command that waited is shorter by that time. A stop
-and a lock do not shorten the time for which the robot is held.
+and a lock do not shorten the time for which the robot is held. A zero ends it, except for a source that drives another
+velocity topic of the robot.
 
 A command without the current epoch is from before a stop if it has waited, here or on its way, since more than
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
@@ -189,6 +190,7 @@ class Lease(NamedTuple):
     source: Hashable
     priority: int
     deadline_s: float
+    has_let_go: bool = False  # its newest command is a zero
 
 
 ADMITTED = Decision()
@@ -299,6 +301,11 @@ class Admission:
         """A zero is admitted at any age, but one that may be from before an interruption arms nothing."""
         owner = command.source
         source = self._sources.get(owner)
+        has_room = len(self._sources) < MAX_SOURCES and now_s < command.received_s + self.lease_s
+        if source is None and command.sent_s is not None and has_room:
+            source = self._sources[owner] = _Source(priority=command.priority)  # tells how late a later command is
+        if source is not None:
+            self._let_go(source, owner, topic)
         waited_s = now_s - command.received_s if source is None else source.waited_s(command, now_s)
         if not self._late_text(command, waited_s):
             self._joined.pop(owner, None)
@@ -315,6 +322,14 @@ class Admission:
             )
             return self._refuse(RefusalKind.HELD, reason, driver.source)
         return ADMITTED
+
+    def _let_go(self, source: _Source, owner: Hashable, topic: Hashable) -> None:
+        """End the hold of a source that gave a zero to one topic, unless it drives another one."""
+        lease = self._drivers.get(topic)
+        if lease is not None and lease.source == owner:
+            self._drivers[topic] = lease._replace(has_let_go=True)
+        drives = (each.deadline_s for each in self._drivers.values() if each.source == owner and not each.has_let_go)
+        source.held_until_s = max(drives, default=float("-inf"))
 
     def _source(self, command: Command[Any], now_s: float) -> _Source | None:
         """Return the record of a source, the last of all; None where there is room for no other.

@@ -63,6 +63,7 @@ def _listed(names: Iterable[str]) -> str:
 
 DTR_PULSE_S = 0.1  # the boards' capacitor needs a tenth of this
 _CFLAG = 2  # index in the result of tcgetattr
+TTY_BYTES = 4095  # most that Linux returns in one read of a port; the rest waits in the driver
 LEAVE_CHECK_S = 0.01  # 10 ms correspond to 58 bytes at 57600 baud
 _ADVICE = {
     errno.EACCES: "no permission: add this user to the group dialout, then log in again",
@@ -149,6 +150,7 @@ class SerialTransport(StreamTransport):
     __slots__ = ("_port",)
 
     kind = "serial"
+    full_read_bytes = TTY_BYTES
 
     def __init__(self, port: "_Port", *, peer: str, address: str) -> None:
         super().__init__(peer=peer, address=address)

@@ -255,6 +255,7 @@ class UdpTransport:
         self._on_readable: Callable[[], None] = ignore
         self._received = bytearray()
         self._unsent: list[bytes] = []
+        self.is_behind = False  # whether the kernel may have more datagrams
         self._is_reading = self._is_closed = False
         self._error: OSError | None = None
         self._progress = asyncio.Event()
@@ -333,10 +334,12 @@ class UdpTransport:
             asyncio.get_running_loop().remove_reader(self._socket)
 
     def _receive(self) -> None:
+        self.is_behind = True
         for _ in range(DATAGRAMS_A_TURN):
             try:
                 found = receive_from(self._socket, self._dropped)
             except BlockingIOError:
+                self.is_behind = False
                 break
             except ConnectionRefusedError:
                 self._break()
