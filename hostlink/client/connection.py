@@ -50,6 +50,7 @@ class HostConnection:
         self.on_open: list[Callable[[], Awaitable[None]]] = []
         self.on_lost: list[Callable[[HostlinkError], None]] = []
         self._kept: dict[str, Mapping[str, Any]] = {}  # requests that are sent again after each reconnection
+        self.callers = http.callers
         self._http = http
         self._reconnects, self._group = reconnects, group
         self._socket: aiohttp.ClientWebSocketResponse | None = None
@@ -89,6 +90,7 @@ class HostConnection:
         Raises:
             HostlinkError: there is no connection, or something in it has no JSON.
         """
+        self.callers.note()
         if self._socket is None or not self.is_connected:
             raise self.lost()
         text = encode(request).decode()
@@ -133,6 +135,7 @@ class HostConnection:
             raise HostlinkError(f"hostlink at {self._http.url} did not answer within {timeout_s:g} s") from None
         finally:
             del self._answers[key]
+            self.callers.note()
         if answer is None:
             raise self.lost()
         if answer["op"] == "status":

@@ -12,6 +12,7 @@ OWNER_LEFT = "owner left"  # reason of a stop: the source disconnected
 WAS_STOPPED = "stopped"  # reason of a stop: a stop was requested
 OVERRULED = "overruled"  # reason of a stop: a source of higher priority drives another topic of the robot
 HOST_AWAY = "hostlink did not run"  # reason of a stop: the process was paused, and no command was read
+ORDERLY = frozenset({LET_GO, OWNER_LEFT, WAS_STOPPED, OVERRULED})  # a person or a program meant the robot to stop
 
 
 class EventKind(Enum):

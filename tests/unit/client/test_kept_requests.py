@@ -5,6 +5,7 @@ from typing import Any, cast
 
 import msgspec
 
+from hostlink.client.callers import Callers
 from hostlink.client.connection import HostConnection
 from hostlink.client.http_client import HttpClient
 from tests.support.virtual_loop import run_virtual
@@ -26,6 +27,7 @@ class Socket:
 
 class Http:
     url = "http://nowhere"
+    callers = Callers()
 
     def __init__(self) -> None:
         self.socket = Socket()
