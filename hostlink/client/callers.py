@@ -43,7 +43,10 @@ def own_context() -> contextvars.Context:
 
 
 class Callers:
-    """Times of calls: when one begins, when it returns, and with each item of a stream. A call that waits does not count."""
+    """Times of calls: when one begins, when it returns, and with each item of a stream.
+
+    A call that waits does not count: it may wait for what never comes.
+    """
 
     def __init__(self, clock: Callable[[], float] = boot_s) -> None:
         """`clock`: in seconds; it also counts while the computer sleeps."""
