@@ -52,6 +52,7 @@ from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
+MAX_REASON = 120  # characters of why a program stops; longer ones are cut
 MAX_TEXT = 1024  # characters of a name or an id; roslib's longest ids are a name and 50 more
 
 
@@ -71,6 +72,7 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
     epoch: int | None = None  # of the robot, from the previous answer
     stops: int | None = None  # synonym of `epoch`
     link: int | None = None  # number of the device's connection; for another number the epoch counts as an earlier one
+    reason: str = ""  # of a zero: why the program drives no more
     op: str = "drive"
     id: object = None
 
@@ -678,6 +680,7 @@ class DriveCommands:
                 sent_s=wanted.sent_s,
                 epoch=epoch,
                 is_planar=wanted.is_planar,
+                reason=printable(wanted.reason, MAX_REASON),
             )
         except HostlinkError as error:
             self._refuse(request, robot, error)

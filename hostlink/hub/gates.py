@@ -405,12 +405,16 @@ class Gates:
             self.hosts.release(owner)
         for admission in self._admissions:
             admission.withdraw(owner)
+        self.let_go(list(self._active), owner, OWNER_LEFT)
+
+    def let_go(self, drivables: Iterable[Drivable], owner: Hashable, reason: str) -> None:
+        """Stop those of the drivables that a source drives, because it has left, or says why it drives no more."""
         now_s = loop_time_s()
-        for drivable in list(self._active):
+        for drivable in drivables:
             gate = drivable.gate
             if gate.owner == owner:
                 gate.stop(now_s=now_s)
-                self._note_stop(drivable, OWNER_LEFT, str(owner))
+                self._note_stop(drivable, reason, str(owner))
                 self._step(drivable, now_s, is_news=True)
 
     def stop(self, drivables: Iterable[Drivable], *, by: str | None = None) -> None:

@@ -116,6 +116,9 @@ class AnyRobot(VelocityTarget):
             CommandRefused, FrameTooLarge, WrongType, UnknownTopic: the robot's daemon refused the command.
         """
 
+    def let_go(self, owner: Hashable, reason: str) -> None:
+        """Stop what a source drives, if it is this robot; `reason` is why the source drives no more."""
+
     @abstractmethod
     def limited_by(self, velocity: PlanarVelocity) -> str | None:
         """Return the setting that slows a velocity down most; None if none does, or for a remote robot."""
@@ -226,6 +229,10 @@ class LocalRobot(Drivable, AnyRobot):
     def answer(self, owner: Hashable) -> None:  # noqa: ARG002 - used by RemoteRobot
         """Return None: `command` has returned the answer."""
         return
+
+    def let_go(self, owner: Hashable, reason: str) -> None:
+        """Stop what a source drives, if it is this robot; `reason` is why the source drives no more."""
+        self.gates.let_go(self.beside, owner, reason)
 
     def limited_by(self, velocity: PlanarVelocity) -> str | None:
         """Return the setting that slows a velocity down most; None if none does."""

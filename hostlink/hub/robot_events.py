@@ -14,6 +14,7 @@ OVERRULED = "overruled"  # reason of a stop: a source of higher priority drives 
 NOT_TAKEN = "a command does not fit its device"  # reason of a stop
 OTHER_TOPICS = "its device announced other topics"  # reason of a stop
 HOST_AWAY = "hostlink did not run"  # reason of a stop: the process was paused, and no command was read
+ORDERLY = frozenset({LET_GO, OWNER_LEFT, WAS_STOPPED, OVERRULED})  # a person or a program meant the robot to stop
 
 
 class EventKind(Enum):
