@@ -15,7 +15,8 @@ def plain(text: str) -> str:
 
 def csv_text(text: str) -> str:
     """Return the text for a cell of CSV: plain lines, and an apostrophe before what a spreadsheet would execute."""
-    found = "\n".join(map(plain, text.split("\n")))
+    known = text.encode(errors="replace").decode()  # JSON may contain half a surrogate pair
+    found = "\n".join(map(plain, known.split("\n")))
     return f"'{found}" if found.lstrip().startswith(_BEGINS_FORMULA) else found
 
 
