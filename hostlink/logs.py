@@ -15,7 +15,7 @@ The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.
                  config.refused, descriptors.exhausted, loop.error, library.complained
 Recordings       recording.started, recording.stopped, recording.stored, recording.failed, incident.begun,
                  incident.saved, incident.lost, incident.postponed, recording.channel_limit_reached,
-                 drives.lost, black_box.volatile
+                 recording.file_removed, drives.lost, black_box.volatile
 A ROS 1 graph    ros1.started, ros1.ended, ros1.master_found, ros1.master_lost, ros1.registered_again, ros1.crashed,
                  ros1.name_refused, ros1.publisher_failed, ros1.publication_failed, ros1.message_refused,
                  ros1.message_malformed, ros1.topic_unknown, ros1.service_unknown, ros1.service_unusable,

@@ -13,11 +13,12 @@ from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected, run_until_interrupted
 from hostlink.cli.driving import KeyReader
 from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, live_figures, robot_table
-from hostlink.cli.output import draw, is_terminal, plain, table, terminal_size, write
+from hostlink.cli.output import draw, is_terminal, table, terminal_size, write
 from hostlink.cli.teleop import QUIT_KEYS, QUIT_SIGNALS, Terminal, key_terminal
 from hostlink.cli.teleop_screen import folded
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError
+from hostlink.plain_text import plain
 
 _BOLD = "1"
 

@@ -39,6 +39,7 @@ from hostlink.cli.names import natural, similar, unknown
 from hostlink.cli.output import duration, is_terminal, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.errors import ConfigError, HostlinkError, WrongType, size
+from hostlink.plain_text import csv_text
 
 # -- services and types -----------------------------------------------------------------------------------------------
 
@@ -529,9 +530,13 @@ def csv_line(cells: Iterable[Any]) -> str:
     """Return a line of CSV; lists are JSON."""
     line = io.StringIO()
     csv.writer(line, lineterminator="").writerow(
-        json_text.dumps(cell) if isinstance(cell, list | dict | bool) else cell for cell in cells
+        json_text.dumps(cell) if isinstance(cell, list | dict | bool) else _csv_cell(cell) for cell in cells
     )
     return line.getvalue()
+
+
+def _csv_cell(value: Any) -> Any:
+    return csv_text(value) if isinstance(value, str) else value
 
 
 def readable(value: Any) -> Any:

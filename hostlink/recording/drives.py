@@ -15,6 +15,7 @@ import structlog
 from hostlink.detached import DetachedThread
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.recording.owner import FolderOwner
 from hostlink.robot.velocity import PlanarVelocity, Twist
 
 PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is released and pressed again
@@ -245,10 +246,10 @@ END_S = 1.0  # to write the last drives
 class DriveLog:
     """Log of all drives, from the events of commands."""
 
-    def __init__(self, hub: Hub, folder: Path, *, is_kept: bool) -> None:
-        """`folder` is that of the recordings. `is_kept`: also write a file there."""
+    def __init__(self, hub: Hub, folder: Path, *, is_kept: bool, owner: FolderOwner | None = None) -> None:
+        """`folder` is that of the recordings, with its owner. `is_kept`: also write a file there."""
         self.lost = 0  # drives that could not be written
-        self._hub, self._folder, self._is_kept = hub, folder, is_kept
+        self._hub, self._folder, self._is_kept, self._owner = hub, folder, is_kept, owner
         self._drives = DriveFinder()
         self._recent: deque[Drive] = deque(maxlen=MAX_RECENT)
         self._observer = hub.join_daemon()
@@ -312,12 +313,17 @@ class DriveLog:
         self._recent.extend(drives)
         await self._write(drives)
 
+    def _append(self, drives: list[Drive]) -> None:
+        if self._owner is not None:
+            self._owner.claim()
+        append_drives(self._folder, drives)
+
     async def _write(self, drives: list[Drive]) -> None:
         if not (drives and self._is_kept):
             return
         try:
             async with self._turn:
-                await self._thread.run(lambda: append_drives(self._folder, drives))
+                await self._thread.run(lambda: self._append(drives))
         except OSError as error:
             if not self._is_failing:
                 log.warning("drives.lost", file=str(self._folder / NAME), reason=error.strerror or str(error))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from hostlink.errors import BadPayload, RecordingFailed, UnknownFormat
+from hostlink.plain_text import csv_text
 from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.definitions import why_unknown
 from hostlink.recording.reader import RecordingSource, open_source
@@ -203,13 +204,18 @@ def _cells(fields: dict[str, Any]) -> Iterator[tuple[str, object]]:
             yield path, value
 
 
+def _safe(value: object) -> object:
+    """Return a value as a cell: a text of a device may be a formula, or contain escape codes."""
+    return csv_text(value) if isinstance(value, str) else value
+
+
 class _File:
     def __init__(self, path: Path, columns: list[str]) -> None:
         self.path, self.lines = path, 0
         self._columns = [_TIME, *columns]
         self._file: IO[str] | None = None
         self._writer: csv.DictWriter[str] | None = None
-        self._open("x").writeheader()
+        self._open("x").writerow({column: csv_text(column) for column in self._columns})
 
     def _open(self, mode: str) -> "csv.DictWriter[str]":
         file = self.path.open(mode, newline="", encoding="utf-8", errors="replace")  # JSON may contain a lone surrogate
@@ -219,7 +225,7 @@ class _File:
     def add(self, stamp_ns: int, cells: dict[str, object]) -> None:
         writer = self._writer or self._open("a")
         seconds, rest_ns = divmod(stamp_ns, NS_PER_S)
-        writer.writerow({_TIME: f"{seconds}.{rest_ns:09d}", **cells})
+        writer.writerow({_TIME: f"{seconds}.{rest_ns:09d}"} | {name: _safe(value) for name, value in cells.items()})
         self.lines += 1
 
     def close(self) -> None:

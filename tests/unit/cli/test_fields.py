@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hostlink.cli.topics import csv_line, field_of, flat, is_recording, readable
 from hostlink.errors import HostlinkError
+from hostlink.plain_text import csv_text
 
 MESSAGE = {"header": {"stamp": {"secs": 5}}, "ranges": [0.5, 1.5], "legs": [{"x": 1}, {"x": 2}], "name": "a"}
 
@@ -52,10 +53,14 @@ def test_a_row_has_a_cell_for_each_field_and_lists_are_one() -> None:
     assert csv_line(values) == '5,"[0.5, 1.5]","[{""x"": 1}, {""x"": 2}]",a'
 
 
+def test_text_that_a_spreadsheet_would_execute_begins_with_an_apostrophe() -> None:
+    assert csv_line(['=HYPERLINK("http://x")', -2, "-2"]) == """"'=HYPERLINK(""http://x"")",-2,'-2"""
+
+
 @given(st.lists(st.one_of(st.text(st.characters(exclude_characters="\r\n\x00")), st.integers()), min_size=1))
 def test_a_table_is_read_again(cells: list[str | int]) -> None:
     (row,) = csv.reader([csv_line(cells)]) if any(map(str, cells)) else [list(map(str, cells))]
-    assert row == list(map(str, cells))
+    assert row == [csv_text(cell) if isinstance(cell, str) else str(cell) for cell in cells]
 
 
 def test_numbers_have_the_digits_of_a_person() -> None:
