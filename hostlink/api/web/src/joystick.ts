@@ -9,6 +9,15 @@ const DEAD_ZONE = 0.08;
 
 const MAIN_BUTTON = 1; // in `buttons`
 
+/** Whether the user sees the stick: its middle is in the window, and nothing but its own texts lies over it. */
+export function isStickShown(): boolean {
+  const zone = find("#joystick");
+  const { left, top, width, height } = zone.getBoundingClientRect();
+  if (width === 0) return false;
+  const above = document.elementFromPoint(left + width / 2, top + height / 2);
+  return above !== null && zone.parentElement?.contains(above) === true;
+}
+
 /** Return what shows a command on the knob: keys and gamepads move it too. While the stick is held it follows the pointer. */
 export function connectJoystick(zone: HTMLElement, driving: Driving): (command: Deflection) => void {
   const isOther = (event: PointerEvent) => event.pointerType === "mouse" && (event.buttons & MAIN_BUTTON) === 0;
