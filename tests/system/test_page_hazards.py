@@ -235,8 +235,13 @@ async def test_arrows_in_the_menu_of_a_panel_and_in_a_list_drive_nothing(scene: 
 
 
 INCIDENT = {
-    "robot": "robot_0", "cause": "locked", "detail": "", "at": "2026-11-22T07:43:29+00:00", "file": "one.mcap", "bytes": 9,
-}  # fmt: skip
+    "robot": "robot_0",
+    "cause": "locked",
+    "detail": "",
+    "at": "2026-11-22T07:43:29+00:00",
+    "file": "one.mcap",
+    "bytes": 9,
+}
 
 
 async def open_something(scene: Scene, what: str) -> None:
@@ -309,7 +314,7 @@ async def test_a_stick_that_is_covered_while_it_is_held_lets_go(scene: Scene) ->
 
 @pytest.mark.parametrize("what", ["an incident", "a panel alone", "a menu", "a search"])
 async def test_escape_closes_what_is_open_and_locks_when_nothing_is(scene: Scene, what: str) -> None:
-    state = fleet("robot_0", holder="client 3", priority=90)  # somebody else drives
+    state = fleet("robot_0", holder="client 3", priority=90)  # another client drives
     state.incidents = [INCIDENT]
     scene.server.show(state)
     page = scene.tab.page
