@@ -12,7 +12,7 @@ import pytest_asyncio
 from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
-from tests.support.browser import Visit, visit
+from tests.support.browser import PHONE, Visit, visit
 from tests.support.page_server import PageServer, State, link, odometry, page_server, robot
 from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
@@ -148,6 +148,64 @@ async def test_another_button_of_the_mouse_drives_nothing(scene: Scene) -> None:
         await asyncio.sleep(0.1)
         await page.mouse.up(button=button)  # type: ignore[arg-type]
     assert scene.commands() == []
+
+
+async def test_a_stick_that_moves_on_the_screen_while_it_is_held_keeps_its_velocity(scene: Scene) -> None:
+    """The list of robots above it becomes shorter: the middle of the stick must not pass under the pointer."""
+    page = scene.tab.page
+    scene.server.show(fleet(*(f"robot_{number}" for number in range(6))))
+    await scene.tab.shows("#robots .robot:nth-child(6)", "robot_5")
+    await scene.tab.drag_stick(0, 40, lambda: scene.is_driven("robot_0"))
+    (x, y), velocity = await scene.tab.stick(), scene.commands()[-1]
+    assert velocity[1] > 0
+    scene.server.show(fleet("robot_0"))
+    await expect_page(page.locator("#robots .robot")).to_have_count(1)
+    assert (await scene.tab.stick())[1] < y - 80
+    await page.mouse.move(x, y - 41)
+    sent = len(scene.commands())
+    await expect(lambda: len(scene.commands()) > sent + 2)
+    name, linear, angular = scene.commands()[-1]
+    assert (name, linear) == ("robot_0", pytest.approx(velocity[1], rel=0.1))
+    assert abs(angular) < 0.05
+    await page.mouse.up()
+    await scene.stands()
+    await scene.tab.drag_stick(0, 40, lambda: scene.is_driven("robot_0"))  # measured again
+    assert scene.commands()[-1][1] == pytest.approx(velocity[1], rel=0.1)
+    await page.mouse.up()
+
+
+async def test_a_window_whose_size_changes_lets_go_of_the_stick(scene: Scene) -> None:
+    await scene.tab.drag_stick(0, 40, lambda: scene.is_driven("robot_0"))
+    await scene.tab.page.evaluate("dispatchEvent(new Event('resize'))")
+    await scene.stands()
+    await scene.tab.page.mouse.up()
+
+
+async def test_findings_and_errors_do_not_move_the_stick_of_a_phone(browser: Browser) -> None:
+    """They come while it is held, and an error of a robot that drives is what they often tell of."""
+    async with page_server() as server, visit(browser, server.url, viewport=PHONE, has_touch=True) as tab:
+        state = fleet("robot_0")
+        known = state.links[0]["topics"][0]
+        state.links[0]["topics"].append({**known, "name": "/robot_0/errors", "type": "std_msgs/UInt16MultiArray"})
+        server.show(state)
+        await tab.shows("#drive-state", "no driver")
+        place = await tab.stick()
+        await expect(lambda: any(each.get("topic") == "/robot_0/errors" for each in server.published))
+        await server.publish("/robot_0/errors", {"data": [31, 12, 43]})
+        await tab.shows("#link", "31 no command")
+        assert await tab.stick() == place
+        found = {
+            "code": "no_topics",
+            "cause": "It announces no topics.",
+            "next_step": "Flash another one.",
+            "detail": "",
+        }
+        state.links[0]["diagnosis"] = [found]
+        state.robots[0]["firmware"] = "the_firmware 1.2"
+        server.show(state)
+        await tab.shows("#link .diagnosis", "announces no topics")
+        assert await tab.stick() == place
+        assert await tab.faults() == []
 
 
 async def test_a_mouse_whose_release_was_lost_lets_go_as_soon_as_it_moves(scene: Scene) -> None:
