@@ -79,14 +79,14 @@ def only_connected(robots: Mapping[str, bool], *, command: str) -> str:
         return connected[0]
     if connected:
         raise HostlinkError(
-            f"{len(connected)} robots are connected: {_listed(connected)}; "
+            f"{len(connected)} robots are connected: {listed(connected)}; "
             f"name one, as in `hostlink {command} {connected[0]}`"
         )
-    known = _listed(sorted(robots, key=natural))
+    known = listed(sorted(robots, key=natural))
     raise HostlinkError(f"no robot is connected; known are: {known}; `hostlink doctor` finds out why")
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
     """Return the first names, with dots if there are more."""
     return f"{', '.join(names[:LISTED])}{', ...' if len(names) > LISTED else ''}"
 

@@ -295,6 +295,10 @@ async def test_wrong_type_of_a_message_is_refused_with_the_similar_ones(line: li
 async def test_an_empty_message_needs_no_text() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         assert await run("pub", "/robot_0/reset_odometry", "--url", host.url) == (0, "", "1 sent\n")
+        status, _, err = await run("pub", "/cmd_vel", "geometry_msgs/Twist", "linear: {x: 0.1}", "--url", host.url)
+        told, sent = err.splitlines()
+        assert (status, sent) == (0, "1 sent")
+        assert "robots listen on: /robot_0/cmd_vel, /robot_0/velocity_commands;" in told
         assert await device.frame(101) == b""
 
 
