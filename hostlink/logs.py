@@ -42,14 +42,18 @@ from hostlink.log_output import LogOutput
 _MAX_PRINTED = 64
 _BUDGET_KEY = "log_budget"  # bound around the work for a peer; never printed
 
+Sentences = Callable[[Mapping[str, object]], str | None]  # sentence of an event for people; None: it has none
+
 budget = LogBudget()
 output = LogOutput(None)
 # Called with wall time and content of each line.
 listeners: dict[Hashable, Callable[[int, Mapping[str, object]], None]] = {}
 
 
-def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
+def configure(*, level: str = "info", stream: TextIO | None = None, sentences: Sentences | None = None) -> None:
     """Send events at or above `level` to `stream` (stderr): readable on a terminal, otherwise one JSON object per line.
+
+    With `sentences`, a terminal shows those and, of the other events, warnings and errors only. Recordings have all.
 
     Writing never blocks and never fails: lines that cannot be written are counted. Lines for a peer have a budget
     (`of_peer`).
@@ -60,6 +64,8 @@ def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
     renderer: structlog.typing.Processor = (
         structlog.dev.ConsoleRenderer() if is_terminal else structlog.processors.JSONRenderer()
     )
+    if is_terminal and sentences is not None:
+        renderer = _Brief(sentences, renderer)
     structlog.configure(
         processors=[
             structlog.contextvars.merge_contextvars,
@@ -77,6 +83,20 @@ def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
         cache_logger_on_first_use=False,
     )
     logging.captureWarnings(capture=True)
+
+
+class _Brief:
+    """Renderer of a terminal: the sentences of events below warning, and `render` for all others."""
+
+    def __init__(self, sentences: Sentences, render: structlog.typing.Processor) -> None:
+        self._sentences, self._render = sentences, render
+
+    def __call__(self, logger: object, method: str, event: structlog.typing.EventDict) -> object:
+        if event["level"] not in ("debug", "info"):
+            return self._render(logger, method, event)
+        if (sentence := self._sentences(event)) is None:
+            raise structlog.DropEvent
+        return sentence
 
 
 def of_peer(address: str) -> dict[str, str]:

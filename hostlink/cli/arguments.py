@@ -113,7 +113,7 @@ RobotName = Annotated[
 ]
 RobotNames = Annotated[
     list[str] | None,
-    typer.Argument(help="Names of robots; without one: all robots.", autocompletion=robot_names),
+    typer.Argument(help="Names of robots; without one, or with the word all: all robots.", autocompletion=robot_names),
 ]
 AllRobots = Annotated[bool, typer.Option("--all", help="All robots, as without a name.")]
 ParameterName = Annotated[

@@ -91,7 +91,7 @@ ZEROS = 3  # one may be lost on a radio link
 Direction = tuple[int, int]  # forward, counter-clockwise
 
 _ORIGINAL: dict[str, Direction] = {
-    "q": (1, 1), "w": (1, 0), "e": (1, -1),
+    "w": (1, 0), "e": (1, -1),
     "a": (0, 1), "d": (0, -1),
     "z": (-1, -1), "x": (-1, 0), "c": (-1, 1),
 }  # fmt: skip
@@ -114,7 +114,7 @@ _FIELD_SPEEDS: dict[str, tuple[float, float]] = {
 
 Layout = Literal["original", "twist"]
 LAYOUTS: dict[str, tuple[dict[str, Direction], dict[str, tuple[float, float]]]] = {
-    # u and m change the turning speed, as in the original; the other keys of the field drive.
+    # u and m change the turning speed, as in the original; the other keys of the field drive, and q ends the command.
     "original": ({**_FIELD, **_ORIGINAL}, _ORIGINAL_SPEEDS),
     "twist": (_FIELD, _FIELD_SPEEDS),
 }
@@ -136,6 +136,10 @@ class Driving:
         self._barred: dict[str, float] = {}  # key without effect -> time at which it counts as released
         self._zeros = 0
         self._send_at_s = float("-inf")
+
+    def has_meaning(self, name: str) -> bool:
+        """Whether the key drives or changes a speed in this layout."""
+        return name in self._directions or name in self._speed_keys
 
     def receive(self, key: Key, now_s: float) -> None:
         """Apply the press, repeat or release of a key."""
@@ -202,3 +206,47 @@ class Driving:
         """Change the speeds within limits; a speed key alone moves no robot."""
         self.linear_m_s = min(max(self.linear_m_s * linear, 0.01), 1.0)
         self.angular_rad_s = min(max(self.angular_rad_s * angular, 0.05), 4.0)
+
+
+# -- confirmation -----------------------------------------------------------------------------------------------------
+
+CONFIRM_S = 4.0  # as on the page
+
+
+class Confirmation:
+    """Key that acts only when it is pressed twice, with no other key in between. Repeats of a held key do not count.
+
+    | event                                              | effect                                   |
+    |----------------------------------------------------|------------------------------------------|
+    | press of the key, nothing asked                    | asks, for CONFIRM_S                      |
+    | press of the key, asked about the same subject     | confirmed; nothing is asked              |
+    | press of the key, asked about another subject      | asks, for CONFIRM_S                      |
+    | repeat of the key, also one that looks like a press | none                                    |
+    | press of another key                               | nothing is asked                         |
+    """
+
+    def __init__(self, key: str) -> None:
+        self._key = key
+        self._subject: object = None  # of the question; None: nothing is asked
+        self._asked_until_s = self._held_until_s = float("-inf")
+
+    def is_asking(self, subject: object, now_s: float) -> bool:
+        """Whether the next press confirms this subject."""
+        return subject is not None and subject == self._subject and now_s < self._asked_until_s
+
+    def receive(self, key: Key, now_s: float, subject: object) -> bool:
+        """Return whether a key confirms the subject. Without one, None, nothing is asked."""
+        if key.action is Action.RELEASED:
+            self._held_until_s = float("-inf") if key.name == self._key else self._held_until_s
+            return False
+        if key.name != self._key:
+            self._subject = None
+            return False
+        is_repeat = key.action is Action.REPEATED or now_s < self._held_until_s
+        self._held_until_s = now_s + (HOLD_S if is_repeat else GRACE_S)
+        if is_repeat:
+            return False
+        is_confirmed = self.is_asking(subject, now_s)
+        self._subject = None if is_confirmed else subject
+        self._asked_until_s = now_s + CONFIRM_S
+        return is_confirmed

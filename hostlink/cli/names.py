@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from hostlink.errors import HostlinkError
 
@@ -12,6 +12,7 @@ MOST = 3
 CLOSE = 0.6  # difflib's ratio: /robot_0/odom and /robot_0/odometry have 0.83, /led and /odom 0.44
 LESS = 0.15  # below the closest ratio: a name that is less similar is not suggested
 LISTED = 8
+ALL = ("all", "*")  # words for every robot
 _NUMBER = re.compile(r"([0-9]+)")
 
 
@@ -48,12 +49,21 @@ def unknown(kind: str, name: str, known: Iterable[str], *, command: str) -> Host
     return HostlinkError(f"there is no {kind} named {name}; {hint}; `hostlink {command}` lists them")
 
 
-def unknown_robot(name: str | None, known: Iterable[str]) -> HostlinkError:
-    """Error of a robot's name that is unknown, or if no robot is known, of any name or none."""
+def unknown_robot(name: str | None, known: Iterable[str], *, also: str = "") -> HostlinkError:
+    """Error of a robot's name that is unknown, or if no robot is known, of any name or none.
+
+    `also` is one more next step.
+    """
     names = list(known)
     if name is None or not names:
         return HostlinkError("no robot has connected yet; `hostlink doctor` finds out why")
-    return unknown("robot", name, names, command="robots")
+    error = unknown("robot", name, names, command="robots")
+    return HostlinkError(f"{error}; {also}") if also else error
+
+
+def mean_all(names: Iterable[str], known: Collection[str]) -> bool:
+    """Tell whether one of the names means every robot. The name of a robot does not."""
+    return any(name.lower() in ALL and name not in known for name in (each.strip("/") for each in names))
 
 
 def only_connected(robots: Mapping[str, bool], *, command: str) -> str:
@@ -69,14 +79,14 @@ def only_connected(robots: Mapping[str, bool], *, command: str) -> str:
         return connected[0]
     if connected:
         raise HostlinkError(
-            f"{len(connected)} robots are connected: {_listed(connected)}; "
+            f"{len(connected)} robots are connected: {listed(connected)}; "
             f"name one, as in `hostlink {command} {connected[0]}`"
         )
-    known = _listed(sorted(robots, key=natural))
+    known = listed(sorted(robots, key=natural))
     raise HostlinkError(f"no robot is connected; known are: {known}; `hostlink doctor` finds out why")
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
     """Return the first names, with dots if there are more."""
     return f"{', '.join(names[:LISTED])}{', ...' if len(names) > LISTED else ''}"
 

@@ -11,7 +11,7 @@ import typer
 from hostlink.cli.arguments import AllRobots, Json, RobotNames, Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import ask
 from hostlink.cli.figures import robot_table
-from hostlink.cli.names import driver, natural, unknown_robot
+from hostlink.cli.names import driver, mean_all, natural, unknown_robot
 from hostlink.cli.output import write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Robot, RobotState, Standstill, StandstillState
 from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
@@ -102,23 +102,31 @@ def stop(
 
 
 async def _stop(host: Host, names: list[str], *, json: bool) -> None:
-    if names:
-        await _halt(host, names, Robot.stop, json=json)
+    if names and not mean_all(names, [robot["name"] for robot in await host.robots()]):
+        await _halt(host, names, Robot.stop, json=json, of_all="`hostlink stop` stops every robot")
     else:
         await _report(host, await host.stop_all(), json=json)
 
 
 async def _halt(
-    host: Host, names: list[str], command: Callable[..., Awaitable[Standstill]], *, done: str = "", json: bool
+    host: Host,
+    names: list[str],
+    command: Callable[..., Awaitable[Standstill]],
+    *,
+    done: str = "",
+    json: bool,
+    of_all: str,
 ) -> None:
     """Stop or lock robots, and report what was measured. The failure of one does not keep the others from stopping.
+
+    `of_all` is a sentence with the command for every robot: a mistyped name must not keep robots moving.
 
     Raises:
         HostlinkError: no robot has one of the names, or a robot cannot be stopped.
         typer.Exit: not every robot is known to be stopped.
     """
     known = [robot["name"] for robot in await chosen(host)]
-    wanted = [name.strip("/") for name in names] or known
+    wanted = known if mean_all(names, known) else [name.strip("/") for name in names] or known
     no_wait = {"wait_s": 0.0} if len(wanted) > 1 else {}  # no stop waits for the measurement of another robot
     measured, failed = dict[str, Standstill](), dict[str, HostlinkError]()
 
@@ -127,7 +135,7 @@ async def _halt(
             if not name:  # refused here, because the other names count
                 raise ConfigError("ROBOTS", "a name is empty; give one, or leave the argument out for all robots")
             if name not in known:
-                raise unknown_robot(name, known)
+                raise unknown_robot(name, known, also=of_all)
             measured[name] = await command(host.robot(name), **no_wait)
         except HostlinkError as error:
             failed[name] = error
@@ -179,8 +187,13 @@ def lock(
 
     Measures whether the robots are stopped; exit status 1: at least one is not.
     """
-    command, names = functools.partial(Robot.lock, reason=reason), [] if everything else robots or []
-    ask(url, token, lambda host: _halt(host, names, command, done=f"is locked: {reason}", json=json))
+    names = [] if everything else robots or []
+    ask(url, token, lambda host: _lock(host, names, reason, json=json))
+
+
+async def _lock(host: Host, names: list[str], reason: str, *, json: bool) -> None:
+    command, done = functools.partial(Robot.lock, reason=reason), f"is locked: {reason}"
+    await _halt(host, names, command, done=done, json=json, of_all="`hostlink lock` locks every robot")
 
 
 # -- unlock -----------------------------------------------------------------------------------------------------------
@@ -190,7 +203,7 @@ def unlock(
     robots: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Names of robots; may be left out if only one is locked.",
+            help="Names of robots, or the word all; may be left out if only one is locked.",
             callback=not_empty,
             autocompletion=robot_names,
         ),
@@ -216,6 +229,8 @@ async def _unlock(host: Host, names: list[str], *, everything: bool) -> list[Rob
 
 
 async def _meant(host: Host, names: list[str], *, everything: bool) -> list[RobotState]:
+    if mean_all(names, [robot["name"] for robot in await host.robots()]):
+        names, everything = [], True
     robots = await chosen(host, *names)
     if names:
         return robots

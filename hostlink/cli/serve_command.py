@@ -5,9 +5,10 @@ A device that connects in this time waits in the kernel until it is served, or i
 
 import dataclasses
 import importlib
+import shlex
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,7 +19,7 @@ from hostlink.cli.addresses import is_origin, parse_address, parse_serial
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.start import import_fast
-from hostlink.config import Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
+from hostlink.config import ApiConfig, Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
 from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.listening import listen as listen_at
 
@@ -36,8 +37,9 @@ ApiAddress = Annotated[
     str | None,
     typer.Option(help="Address and port on which programs connect: HOST:PORT.", show_default="127.0.0.1:9090"),
 ]
+Level = Literal["debug", "info", "warning", "error"]
 LogLevel = Annotated[
-    Literal["debug", "info", "warning", "error"],
+    Level,
     typer.Option(case_sensitive=False, help="What to log: debug to trace a fault."),
 ]
 
@@ -71,7 +73,14 @@ def command(
         str | None,
         typer.Option(metavar="URL", help="Show the robots in ROS 1, as a node of this master: http://localhost:11311."),
     ] = None,
-    log_level: LogLevel = "info",
+    log_level: Annotated[
+        Level | None,
+        typer.Option(
+            case_sensitive=False,
+            help="What to log: debug to trace a fault.",
+            show_default="info; on a terminal: warnings, and a line when a robot is ready",
+        ),
+    ] = None,
     loop: Annotated[
         Loop, typer.Option(help="Event loop: asyncio, uvloop, or auto, which is uvloop on Linux where it is installed.")
     ] = "auto",
@@ -106,7 +115,8 @@ def command(
     settings = read()
     listening = [] if check_config else open_device_port(settings.tcp)
     new_loop = loop_factory(loop)
-    importlib.import_module("hostlink.logs").configure(level=log_level)
+    sentences = Sentences() if log_level is None else None
+    importlib.import_module("hostlink.logs").configure(level=log_level or "info", sentences=sentences)
     daemon = import_fast("hostlink.cli.serve")
     if check_config:
         daemon.show_check(settings)
@@ -200,6 +210,36 @@ def merge(
         config = dataclasses.replace(config, api=dataclasses.replace(config.api, host=host, port=port))
     ports = config.serial + tuple(parse_serial(text) for text in serial or ())
     return dataclasses.replace(config, serial=ports, message_folders=config.message_folders + tuple(messages or ()))
+
+
+# -- sentences on a terminal ------------------------------------------------------------------------------------------
+
+
+class Sentences:
+    """Sentences for a person who has started the daemon in a terminal, instead of the log's lines of level info."""
+
+    def __init__(self) -> None:
+        self._option = ""  # for commands, if the API has another address than theirs
+
+    def __call__(self, event: Mapping[str, object]) -> str | None:
+        """Return the sentence of an event; None if it has none."""
+        match event["event"]:
+            case "daemon.started":
+                url = event["api"]
+                self._option = "" if url == f"http://127.0.0.1:{ApiConfig().port}" else f" --url {url}"
+                udp = f", over UDP to {event['udp']}" if "udp" in event else ""
+                boards = f"boards connect to {event['tcp']}{udp}"
+                return f"hostlink runs: {url}  (open it in a browser)\n{boards}; Ctrl-C ends hostlink"
+            case "robot.appeared" if event.get("velocity"):
+                robot = shlex.quote(str(event["robot"]))
+                return f"{event['robot']} is ready; to drive it: hostlink teleop {robot}{self._option}"
+            case "robot.appeared":
+                return f"{event['robot']} is connected; it takes no velocity"
+            case "daemon.stopping":
+                return "stopping the robots ..."
+            case "daemon.stopped":
+                return "hostlink has ended"
+        return None
 
 
 # -- examples ---------------------------------------------------------------------------------------------------------

@@ -17,11 +17,11 @@ import typer
 from hostlink.cancellation import first_error, meanwhile
 from hostlink.cli.arguments import Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import connected
-from hostlink.cli.driving import Driving, Key, KeyReader, Layout
+from hostlink.cli.driving import Confirmation, Driving, Key, KeyReader, Layout
 from hostlink.cli.names import only_connected
 from hostlink.cli.output import draw, terminal_size, write_control
 from hostlink.cli.robots import chosen
-from hostlink.cli.teleop_screen import UNLOCK_KEY, OwnState, lost_screen, screen
+from hostlink.cli.teleop_screen import QUIT_KEY, UNLOCK_KEY, OwnState, lost_screen, screen
 from hostlink.client import DEFAULT_URL, Event, Host, Refusal, Robot, RobotState, connect
 from hostlink.client.views import Twist
 from hostlink.errors import ConfigError, HostlinkError, RefusalKind, UnknownTopic
@@ -148,9 +148,15 @@ class KeyDriver:
         except HostlinkError as error:
             self.refusal = str(error)
 
-    async def unlock(self) -> None:
-        """Unlock the robot if it is locked. Held keys have no effect until they are released and pressed again."""
-        if not self._watched.state.get("locked"):
+    @property
+    def lock(self) -> tuple[object, ...] | None:
+        """Identity of the lock that the robot has: a new one has another; None without one."""
+        state = self._watched.state
+        return (state.get("epoch"), state.get("lock_reason")) if state.get("locked") else None
+
+    async def unlock(self, lock: object) -> None:
+        """End this lock, not a later one. Held keys have no effect until they are released and pressed again."""
+        if lock is None or lock != self.lock:
             return
         self._driving.bar(loop_time_s())
         try:
@@ -189,16 +195,27 @@ def command(
     token: Token = None,
     layout: Annotated[
         Layout,
-        typer.Option(
-            help="Keys: original (q w e / a d / z x c), or twist (u i o / j l / m , .) as in teleop_twist_keyboard."
-        ),
+        typer.Option(help="Keys: original, or twist as in teleop_twist_keyboard."),
     ] = "original",
     linear: Annotated[
         float, typer.Option(min=0.01, max=1.0, help="Forward speed at the beginning, m/s: lower in a narrow room.")
     ] = 0.2,
     angular: Annotated[float, typer.Option(min=0.05, max=4.0, help="Turning speed at the beginning, rad/s.")] = 0.8,
 ) -> None:
-    """Drive a robot with the keyboard: the robot moves while a key is held, and stops when no key is held."""
+    """Drive a robot with the keyboard: the robot moves while a key is held, and stops when no key is held.
+
+    drive: the arrow keys; w e a d z x c; i j l o , .
+
+    change both speeds: t b; the forward speed: y n; the turning speed: u m
+
+    stop the robot, also when another program drives it: space, s, k
+
+    unlock a locked robot: r twice; let go: any other key; end: q, Ctrl-C
+
+    With --layout twist: drive: the arrow keys; u i o j l m , .; end: Ctrl-C
+
+    change both speeds: q z; the forward speed: w x; the turning speed: e c
+    """
     driving = Driving(layout=layout, linear_m_s=linear, angular_rad_s=angular)
     asyncio.run(_teleop(url, token, robot, driving, layout))
 
@@ -217,7 +234,7 @@ async def _teleop(url: str, token: str | None, name: str | None, driving: Drivin
                     await _drive(host, found, keyboard, layout)
             except HostlinkError as lost:
                 keyboard.driving.bar(loop_time_s())  # held keys must not move the robot when the connection returns
-                draw(lost_screen(found, str(lost), width=terminal_size()[0] - 1))
+                draw(lost_screen(found, str(lost), driving, width=terminal_size()[0] - 1))
                 await keyboard.wait(RETRY_S)
 
 
@@ -235,16 +252,18 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> N
         driver = KeyDriver(robot, driving, watched)
         try:
             while not keyboard.is_done:
+                keyboard.lock = driver.lock
                 await _obey(keyboard, driver)
                 if loop_time_s() >= draw_at_s:
                     draw_at_s = loop_time_s() + DRAW_INTERVAL_S
                     _observe(watch, watched.state)
-                    own = OwnState(robot.client_name, driver.refusal, watch.warning)
+                    own = OwnState(robot.client_name, driver.refusal, watch.warning, keyboard.asks_to_unlock)
                     draw(
                         screen(watched.state, driving, loop_time_s(), own, layout=layout, width=terminal_size()[0] - 1)
                     )
                 await keyboard.wait(TICK_S)
         finally:
+            keyboard.lock = keyboard.unlocks = None  # a press that was not obeyed must not unlock after the connection
             driving.stop()
             with contextlib.suppress(HostlinkError):  # with the connection gone the daemon stops the robot
                 await driver.finish()
@@ -264,8 +283,7 @@ def _speeds(twist: Twist) -> Speeds:
 async def _obey(keyboard: "_Keyboard", driver: KeyDriver) -> None:
     if keyboard.pop_stop():
         await driver.stop()
-    if keyboard.pop_unlock():
-        await driver.unlock()
+    await driver.unlock(keyboard.pop_unlock())
     if keyboard.wants_suspend:
         await driver.send((0.0, 0.0))
         keyboard.suspend()
@@ -277,11 +295,14 @@ class _Keyboard:
 
     def __init__(self, terminal: Terminal, driving: Driving) -> None:
         self.driving = driving
+        self.lock: object = None  # of the robot, about which the unlock key asks
+        self.unlocks: object = None  # lock that was confirmed to end
         self.is_done = self.wants_suspend = False
         self._terminal = terminal
         self._reader = KeyReader()
         self._news = asyncio.Event()
-        self._wants_stop = self._wants_unlock = False
+        self._wants_stop = False
+        self._unlocking = Confirmation(UNLOCK_KEY)
 
     def __enter__(self) -> "_Keyboard":
         loop = asyncio.get_running_loop()
@@ -302,10 +323,15 @@ class _Keyboard:
         wanted, self._wants_stop = self._wants_stop, False
         return wanted
 
-    def pop_unlock(self) -> bool:
-        """Whether the unlock key was pressed since the last call."""
-        wanted, self._wants_unlock = self._wants_unlock, False
+    def pop_unlock(self) -> object:
+        """Return the lock that the unlock key has confirmed to end since the last call; None without one."""
+        wanted, self.unlocks = self.unlocks, None
         return wanted
+
+    @property
+    def asks_to_unlock(self) -> bool:
+        """Whether the unlock key was pressed and has to be pressed again."""
+        return self._unlocking.is_asking(self.lock, loop_time_s())
 
     def suspend(self) -> None:
         """Suspend this program as Ctrl-Z does; the shell has the terminal until it resumes this program."""
@@ -334,13 +360,14 @@ class _Keyboard:
         self._news.set()
 
     def _receive(self, key: Key) -> None:
-        if key.name in QUIT_KEYS:
+        if key.name in QUIT_KEYS or (key == Key(QUIT_KEY) and not self.driving.has_meaning(QUIT_KEY)):
             self._quit()
         elif key.name == "ctrl-z":
             self._want_suspend()
         elif not self.is_done:  # a key that is still held must not drive after Ctrl-C
             self._wants_stop |= key.name in STOP_KEYS
-            self._wants_unlock |= key == Key(UNLOCK_KEY)
+            if self._unlocking.receive(key, loop_time_s(), self.lock):
+                self.unlocks = self.lock
             self.driving.receive(key, loop_time_s())
 
     def _quit(self) -> None:

@@ -12,11 +12,12 @@ from hostlink.client import RobotState
 
 GAP = 3  # spaces between two facts of a line, at which it may be broken
 UNLOCK_KEY = "r"
+QUIT_KEY = "q"  # in a layout in which it has no other meaning
 RED, YELLOW = "31;1", "33;1"
 
 MAPS = {
     "original": [
-        ("q  w  e        u* i  o", "t/b  both speeds up/down"),
+        ("   w  e        u* i  o", "t/b  both speeds up/down"),
         ("a  s  d        j  k  l", "y/n  forward speed up/down"),
         ("z  x  c        m* ,  .", "u/m  turning speed up/down   (* not for driving)"),
     ],
@@ -37,23 +38,31 @@ class Line(NamedTuple):
 
 
 class OwnState(NamedTuple):
-    """State of this program: its name at the daemon, the last refusal and a warning."""
+    """State of this program: its name at the daemon, the last refusal, a warning, and whether it asks to unlock."""
 
     client_name: str | None = None
     refusal: str = ""
     warning: str = ""
+    asks_to_unlock: bool = False
 
 
 def screen(state: RobotState, driving: Driving, now_s: float, own: OwnState, *, layout: str, width: int) -> list[Line]:
     """Return the lines of the screen, none wider than the terminal."""
     lines = [*_facts(state, driving, now_s, own), Line(""), *_keys(layout, width)]
-    lines.append(Line("arrows drive too; space, k or s stops the robot; any other key lets go; Ctrl-C ends"))
+    lines.append(
+        Line(f"arrows drive too; space, k or s stops the robot; any other key lets go; {ending(driving)} ends")
+    )
     return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
 
 
-def lost_screen(name: str, reason: str, *, width: int) -> list[Line]:
+def ending(driving: Driving) -> str:
+    """Names of the keys that end teleop. A layout in which q has another meaning has only Ctrl-C."""
+    return "Ctrl-C" if driving.has_meaning(QUIT_KEY) else f"{QUIT_KEY} or Ctrl-C"
+
+
+def lost_screen(name: str, reason: str, driving: Driving, *, width: int) -> list[Line]:
     """Return the lines of the screen while the connection is lost."""
-    lines = [Line(f"{name}: {reason}", RED), Line("the robot stops by itself; trying again, Ctrl-C ends")]
+    lines = [Line(f"{name}: {reason}", RED), Line(f"the robot stops by itself; trying again, {ending(driving)} ends")]
     return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
 
 
@@ -63,7 +72,8 @@ def _facts(state: RobotState, driving: Driving, now_s: float, own: OwnState) -> 
     connected = "connected" if is_connected else "NOT CONNECTED"
     yield Line(f"hostlink teleop   {state['name']}   {connected}", "" if is_connected else RED)
     if state.get("locked"):
-        yield Line(f"LOCKED: {state.get('lock_reason')}   {UNLOCK_KEY} unlocks it", RED)
+        step = f"REALLY UNLOCK? {UNLOCK_KEY} again does it" if own.asks_to_unlock else f"{UNLOCK_KEY} twice unlocks it"
+        yield Line(f"LOCKED: {state.get('lock_reason')}   {step}", RED)
     else:
         yield Line(own.warning, YELLOW)
     yield Line(f"speeds    {driving.linear_m_s:5.2f} m/s  {driving.angular_rad_s:5.2f} rad/s")

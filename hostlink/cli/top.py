@@ -15,7 +15,7 @@ from hostlink.cli.driving import KeyReader
 from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, live_figures, robot_table
 from hostlink.cli.output import draw, is_terminal, table, terminal_size, write
 from hostlink.cli.teleop import QUIT_KEYS, QUIT_SIGNALS, Terminal, key_terminal
-from hostlink.cli.teleop_screen import folded
+from hostlink.cli.teleop_screen import QUIT_KEY, folded
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError
 from hostlink.plain_text import plain
@@ -70,7 +70,7 @@ def _end_in_order(terminal: Terminal) -> None:
 
     def read() -> None:
         data = os.read(terminal.input, 1024)
-        if not data or any(key.name in (*QUIT_KEYS, "q") for key in keys.feed(data)):
+        if not data or any(key.name in (*QUIT_KEYS, QUIT_KEY) for key in keys.feed(data)):
             task.cancel()
 
     loop.add_reader(terminal.input, read)

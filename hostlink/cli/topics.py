@@ -35,11 +35,12 @@ from hostlink.cli.arguments import (
     not_empty,
 )
 from hostlink.cli.connecting import PATIENCE_S, ask, connected, rosapi, run_until_interrupted, waiting, write_hint
-from hostlink.cli.names import natural, similar, unknown
+from hostlink.cli.names import listed, natural, similar, unknown
 from hostlink.cli.output import duration, is_terminal, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.errors import ConfigError, HostlinkError, WrongType, size
 from hostlink.plain_text import csv_text
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 # -- services and types -----------------------------------------------------------------------------------------------
 
@@ -964,6 +965,7 @@ async def _pub(
             host, topic, f"name the type of a new topic, as in `hostlink pub {topic} std_msgs/String 'data: hello'`"
         )
         message = await _object(host, "message_details", type_name, words)
+        await _write_if_unheard(host, "/" + topic.lstrip("/~"), type_name)
         while not publishing.count or publishing.sent < publishing.count:
             if publishing.sent:
                 await asyncio.sleep(1 / publishing.rate_hz)
@@ -973,6 +975,39 @@ async def _pub(
             if sent > rate_hz * PATIENCE_S and not sent % max(1, round(rate_hz)):
                 show_progress(f"{sent} sent{f' of {publishing.count}' if publishing.count else ''}; Ctrl-C ends")
         await host.settle()
+
+
+async def _write_if_unheard(host: Host, topic: str, type_name: str) -> None:
+    """Write one line about a topic that has no subscriber: a message there moves no robot and is lost."""
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            graph = await anext(await host.watch_graph())
+    except TimeoutError:  # the line is not worth a longer wait
+        return
+    if line := unheard(topic, type_name, graph["topics"]):
+        write_error(line)
+
+
+def unheard(topic: str, type_name: str, topics: Iterable[dict[str, Any]]) -> str:
+    """Return a line about a topic without a subscriber, with the topics on which robots, or others, listen. Pure.
+
+    Args:
+        topic: name of the topic.
+        type_name: type of the messages.
+        topics: those of the graph, as `watch_graph` shows them; the daemon's own recorder does not count.
+    """
+    heard = [each for each in topics if each["subscribed"] or each["velocity"]]
+    if any(each["name"] == topic for each in heard):
+        return ""
+    ways = sorted((each["name"] for each in heard if each["velocity"] and each["type"] == type_name), key=natural)
+    if ways:
+        step = f"robots listen on: {listed(ways)}; `hostlink robots` lists the robots"
+    elif type_name in (TWIST_TYPE, TWIST_STAMPED_TYPE):
+        step = f"no robot listens to a {type_name} now; `hostlink robots` lists the robots"
+    else:
+        names = similar(topic, (each["name"] for each in heard))
+        step = f"{names}`hostlink topics` lists all topics"
+    return f"{topic} has no subscriber, so that no robot and no program receives this; {step}"
 
 
 # -- services ---------------------------------------------------------------------------------------------------------

@@ -10,8 +10,9 @@ import pytest
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
 from tests.support.driving import put_velocity
-from tests.support.process import run, serve
+from tests.support.process import HOSTLINK, free_port, run, serve, simulated
 from tests.support.pty_pair import pty_streams
+from tests.support.screen import screen
 
 STOP_S = 0.6  # a robot's own watchdog is 0.5 s, looked at each thirtieth of a second
 
@@ -75,3 +76,17 @@ async def test_a_port_in_use_is_one_line_and_status_2_and_starts_no_guardian() -
         )
         assert (status, "guardian.started" in complaint) == (2, False)
         assert "choose another port with --api" in complaint
+
+
+async def test_serve_on_a_terminal_shows_the_page_and_when_a_robot_is_ready() -> None:
+    api, tcp = (f"127.0.0.1:{free_port()}" for _ in range(2))
+    async with screen(columns=120) as terminal:
+        await terminal.keys(f"{HOSTLINK} serve --api {api} --listen {tcp}", "Enter")
+        shown = await terminal.shows(f"boards connect to {tcp}; Ctrl-C ends hostlink")
+        assert f"hostlink runs: http://{api}  (open it in a browser)" in shown
+        host, _, port = tcp.partition(":")
+        async with simulated((host, int(port))):
+            shown = await terminal.shows(f"robot_0 is ready; to drive it: hostlink teleop robot_0 --url http://{api}")
+            assert "link.opened" not in shown
+        await terminal.keys("C-c")
+        await terminal.shows("hostlink has ended")

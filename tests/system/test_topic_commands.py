@@ -165,9 +165,14 @@ async def test_stop_lock_and_unlock() -> None:
         assert all(robot.gate.lock_reason is not None for robot in host.hub.robots.all())
         assert (await run("unlock", "--all", *at))[1] == "mule may be driven\nrobot_0 may be driven\n"
         assert (await run("lock", "mull", *at))[2] == (
-            "hostlink: there is no robot named mull; similar names: mule; `hostlink robots` lists them\n"
+            "hostlink: there is no robot named mull; similar names: mule; `hostlink robots` lists them; "
+            "`hostlink lock` locks every robot\n"
         )
         assert all(robot.gate.lock_reason is None for robot in host.hub.robots.all())
+        assert (await run("lock", "all", *at))[::2] == (1, "")
+        assert all(robot.gate.lock_reason is not None for robot in host.hub.robots.all())
+        assert (await run("stop", "*", *at))[1:] == (f"mule: {unknown}robot_0: {unknown}", "")
+        assert await run("unlock", "all", *at) == (0, "mule may be driven\nrobot_0 may be driven\n", "")
         status, out, err = await run("lock", "mull", "", "mule", "robot_1", *at)
         assert (status, out) == (1, f"mule is locked: a lock from the terminal\nmule: {unknown}")
         mull, empty, robot_1 = err.splitlines()
@@ -290,6 +295,10 @@ async def test_wrong_type_of_a_message_is_refused_with_the_similar_ones(line: li
 async def test_an_empty_message_needs_no_text() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         assert await run("pub", "/robot_0/reset_odometry", "--url", host.url) == (0, "", "1 sent\n")
+        status, _, err = await run("pub", "/cmd_vel", "geometry_msgs/Twist", "linear: {x: 0.1}", "--url", host.url)
+        told, sent = err.splitlines()
+        assert (status, sent) == (0, "1 sent")
+        assert "robots listen on: /robot_0/cmd_vel, /robot_0/velocity_commands;" in told
         assert await device.frame(101) == b""
 
 

@@ -1,10 +1,14 @@
 """Keys and time to velocity (docs/driving.md#the-keys-of-teleop)."""
 
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.driving import GRACE_S, HOLD_S, LAYOUTS, ZEROS, Action, Driving, Key
+from hostlink.cli.driving import CONFIRM_S, GRACE_S, HOLD_S, LAYOUTS, ZEROS, Action, Confirmation, Driving, Key
+from hostlink.cli.teleop import STOP_KEYS, command
+from hostlink.cli.teleop_screen import UNLOCK_KEY
 
 V, W = 0.2, 0.8
 
@@ -16,7 +20,7 @@ def driving(layout: str = "original") -> Driving:
 @pytest.mark.parametrize(
     ("key", "velocity"),
     [
-        ("q", (V, W)), ("w", (V, 0)), ("e", (V, -W)), ("a", (0, W)), ("d", (0, -W)), ("z", (-V, -W)), ("x", (-V, 0)),
+        ("w", (V, 0)), ("e", (V, -W)), ("a", (0, W)), ("d", (0, -W)), ("z", (-V, -W)), ("x", (-V, 0)),
         ("c", (-V, W)), ("i", (V, 0)), (",", (-V, 0)), ("j", (0, W)), ("l", (0, -W)), ("o", (V, -W)), (".", (-V, W)),
         ("up", (V, 0)), ("down", (-V, 0)), ("left", (0, W)), ("right", (0, -W)),
     ],
@@ -162,3 +166,78 @@ def test_after_any_keys_the_robot_is_stopped_when_no_key_arrives(story: list[tup
     sent = [made.due(now_s + tick / 50) for tick in range(50)]
     assert {velocity for velocity in sent if velocity is not None} <= {(0.0, 0.0)}
     assert sent[-1] is None
+
+
+R = Key("r")
+
+
+def test_a_key_is_confirmed_by_its_second_press_alone() -> None:
+    asked = Confirmation("r")
+    assert not asked.is_asking("lock", 0.0)
+    assert not asked.receive(R, 0.0, "lock")
+    assert asked.is_asking("lock", 0.0)
+    assert asked.receive(R, GRACE_S, "lock")
+    assert not asked.is_asking("lock", GRACE_S)
+    assert not asked.receive(R, 3 * GRACE_S, "lock")  # asks anew
+
+
+def test_a_held_key_confirms_nothing() -> None:
+    asked = Confirmation("r")
+    assert not asked.receive(R, 0.0, "lock")
+    times_s = [0.5 + 0.03 * number for number in range(100)]
+    assert not any(asked.receive(R, now_s, "lock") for now_s in times_s)
+    assert not any(asked.receive(Key("r", Action.REPEATED), now_s + 3.0, "lock") for now_s in times_s)
+    assert asked.receive(R, 3.5 + 0.03 * 99 + HOLD_S, "lock") is False  # too late: it asks again
+
+
+def test_a_release_tells_a_second_press_from_a_repeat() -> None:
+    asked = Confirmation("r")
+    asked.receive(R, 0.0, "lock")
+    asked.receive(Key("r", Action.RELEASED), 0.1, "lock")
+    assert asked.receive(R, 0.2, "lock")
+
+
+@pytest.mark.parametrize(
+    ("between", "subject", "after_s"),
+    [(Key("w"), "lock", 1.0), (None, "another lock", 1.0), (None, None, 1.0), (None, "lock", CONFIRM_S)],
+)
+def test_another_key_another_lock_and_time_end_the_question(
+    between: Key | None, subject: object, after_s: float
+) -> None:
+    asked = Confirmation("r")
+    asked.receive(R, 0.0, "lock")
+    if between is not None:
+        asked.receive(between, 0.5, "lock")
+    assert not asked.is_asking(subject, after_s)
+    assert not asked.receive(R, after_s, subject)
+    assert asked.is_asking(subject, after_s) is (subject is not None)
+
+
+def test_a_robot_that_is_locked_after_the_first_press_stays_locked() -> None:
+    asked = Confirmation("r")
+    asked.receive(R, 0.0, None)
+    assert not asked.receive(R, 1.0, "lock")
+
+
+def test_the_release_of_another_key_keeps_the_question() -> None:
+    asked = Confirmation("r")
+    asked.receive(R, 0.0, "lock")
+    asked.receive(Key("w", Action.RELEASED), 0.5, "lock")
+    assert asked.receive(R, 1.0, "lock")
+
+
+def test_q_has_a_meaning_only_in_the_map_of_teleop_twist_keyboard() -> None:
+    assert [driving(layout).has_meaning("q") for layout in ("original", "twist")] == [False, True]
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_help_lists_every_key(layout: str) -> None:
+    original, twist = re.sub(r"\s+", " ", command.__doc__ or "").split("With --layout twist:")
+    text = original if layout == "original" else twist
+    directions, speeds = LAYOUTS[layout]
+    arrows = {"up", "down", "left", "right"}
+    assert ({*directions, *speeds} - arrows) <= set(re.split(r"[ ;:]+", text.replace(" ,", " , ")))
+    assert "arrow keys" in text
+    for key in ("q" if layout == "original" else "", "Ctrl-C"):
+        assert key in text
+    assert all(key in original for key in (*STOP_KEYS, f"{UNLOCK_KEY} twice"))

@@ -8,7 +8,7 @@ from typing import cast
 
 from hostlink.cli.driving import HOLD_S, SEND_INTERVAL_S, ZEROS, Action, Driving, Key
 from hostlink.cli.teleop import KeyDriver, WatchedRobot
-from hostlink.client import RobotState
+from hostlink.client import Robot, RobotState
 from hostlink.hub.robot_events import LET_GO, EventKind, RobotEvent
 from hostlink.robot.admission import LEASE_S
 from tests.support.fake_device import robot_topics
@@ -24,8 +24,11 @@ INTERRUPTED = "it was stopped, locked or reconnected while this source was drivi
 class Person:
     """A person at the keys."""
 
-    def __init__(self, made: Scene, driving: Driving, driver: KeyDriver) -> None:
-        self.made, self.driving, self.driver = made, driving, driver
+    def __init__(self, made: Scene, robot: Robot) -> None:
+        self.made = made
+        self.driving = Driving(layout="original", linear_m_s=SPEED_M_S, angular_rad_s=0.8)
+        self.watched = WatchedRobot(cast(RobotState, {}))
+        self.driver = KeyDriver(robot, self.driving, self.watched)
 
     async def press(self, name: str, seconds: float) -> None:
         """Hold a key, which repeats, and send what is due."""
@@ -39,10 +42,8 @@ class Person:
 
 @contextlib.asynccontextmanager
 async def person() -> AsyncIterator[Person]:
-    driving = Driving(layout="original", linear_m_s=SPEED_M_S, angular_rad_s=0.8)
     async with scene() as made, memory_host(made.hub, made.tasks) as me:
-        watched = WatchedRobot(cast(RobotState, {}))
-        yield Person(made, driving, KeyDriver(me.robot(ROBOT, priority=60), driving, watched))
+        yield Person(made, me.robot(ROBOT, priority=60))
 
 
 def at_the_keys(test: Callable[[Person], Awaitable[None]]) -> None:
@@ -112,5 +113,22 @@ def test_key_that_stays_pressed_through_a_lock_does_not_drive_after_the_unlock()
         await asyncio.sleep(2 * HOLD_S)
         await keys.press("w", 0.2)
         assert speeds(keys.made.robot)[-1] == SPEED_M_S
+
+    at_the_keys(test)
+
+
+def test_a_confirmed_unlock_ends_only_the_lock_that_was_asked_about() -> None:
+    async def test(keys: Person) -> None:
+        robot = keys.made.hub.robots.find_here(ROBOT)
+        locks = []
+        for number, reason in enumerate(("a foot", "a hand")):
+            robot.lock(reason)
+            keys.watched.state = cast(RobotState, {"locked": True, "epoch": number, "lock_reason": reason})
+            locks.append(keys.driver.lock)
+        await keys.driver.unlock(locks[0])
+        await keys.driver.unlock(None)
+        assert robot.gate.lock_reason == "a hand"
+        await keys.driver.unlock(locks[1])
+        assert robot.gate.lock_reason is None
 
     at_the_keys(test)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.arguments import read_message
-from hostlink.cli.topics import Echo, block, filled, message_count, message_lines, type_and_message, with_field
+from hostlink.cli.topics import Echo, block, filled, message_count, message_lines, type_and_message, unheard, with_field
 from hostlink.errors import ConfigError, HostlinkError
 
 VECTOR = {
@@ -205,3 +205,42 @@ def test_csv_of_a_message_with_only_empty_fields_has_its_time_alone() -> None:
     echo = Echo(topic="/t", field="", count=0, throttle_ms=0, timeout_s=0, as_json=False, as_csv=True, longest=0)
     head, line = message_lines({"a": {}}, echo, is_first=True)
     assert (head, line.count(",")) == ("time", 0)
+
+
+def heard(name: str, type_name: str = "geometry_msgs/Twist", *, velocity: bool = False) -> dict[str, Any]:
+    return {"name": name, "type": type_name, "subscribed": True, "velocity": velocity}
+
+
+TOPICS = [
+    heard("/robot_10/cmd_vel", velocity=True),
+    heard("/robot_2/cmd_vel", velocity=True),
+    heard("/robot_2/stamped", "geometry_msgs/TwistStamped", velocity=True),
+    heard("/led", "std_msgs/Bool"),
+    {**heard("/odom"), "subscribed": False},
+]
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name", "wanted"),
+    [
+        ("/cmd_vel", "geometry_msgs/Twist", "robots listen on: /robot_2/cmd_vel, /robot_10/cmd_vel; `hostlink robots`"),
+        ("/cmd_vel", "geometry_msgs/TwistStamped", "robots listen on: /robot_2/stamped; "),
+        ("/lad", "std_msgs/Bool", "; similar names: /led; `hostlink topics` lists"),
+        ("/odom", "nav_msgs/Odometry", "; `hostlink topics` lists"),
+    ],
+)
+def test_a_topic_without_a_subscriber_is_told_with_the_topics_of_robots(
+    topic: str, type_name: str, wanted: str
+) -> None:
+    line = unheard(topic, type_name, TOPICS)
+    assert line.startswith(f"{topic} has no subscriber, so that no robot and no program receives this; ")
+    assert wanted in line
+
+
+def test_a_velocity_without_a_robot_is_told() -> None:
+    assert "no robot listens to a geometry_msgs/Twist now" in unheard("/cmd_vel", "geometry_msgs/Twist", TOPICS[3:])
+
+
+@pytest.mark.parametrize("topic", ["/led", "/robot_2/cmd_vel"])
+def test_a_topic_with_a_subscriber_needs_no_line(topic: str) -> None:
+    assert unheard(topic, "std_msgs/Bool", TOPICS) == ""

@@ -27,10 +27,16 @@ def state(**changes: Any) -> RobotState:
 
 
 def shown(
-    width: int = 99, *, layout: str = "original", refusal: str = "", warning: str = "", **changes: Any
+    width: int = 99,
+    *,
+    layout: str = "original",
+    refusal: str = "",
+    warning: str = "",
+    asks: bool = False,
+    **changes: Any,
 ) -> list[Line]:
     driving = Driving(layout=layout, linear_m_s=0.2, angular_rad_s=0.8)
-    own = OwnState("client 7", refusal, warning)
+    own = OwnState("client 7", refusal, warning, asks)
     return screen(state(**changes), driving, 0.0, own, layout=layout, width=width)
 
 
@@ -38,7 +44,8 @@ def shown(
 def test_no_line_is_wider_than_the_terminal(width: int, layout: str, refusal: str, warning: str) -> None:
     lines = shown(width, layout=layout, refusal=refusal, warning=warning)
     assert all(len(line.text) <= width for line in lines)
-    assert all(len(line.text) <= width for line in lost_screen("robot_0", refusal, width=width))
+    driving = Driving(layout=layout, linear_m_s=0.2, angular_rad_s=0.8)
+    assert all(len(line.text) <= width for line in lost_screen("robot_0", refusal, driving, width=width))
 
 
 @pytest.mark.parametrize("layout", sorted(MAPS))
@@ -53,8 +60,17 @@ def test_forty_columns_keep_every_word_and_fit_24_lines(layout: str) -> None:
 
 def test_a_locked_robot_names_its_reason_and_the_key_that_unlocks() -> None:
     lines = shown(locked=True, lock_reason="my foot", refusal="robot_0: locked: hostlink unlock robot_0")
-    assert Line("LOCKED: my foot   r unlocks it", RED) in lines
+    assert Line("LOCKED: my foot   r twice unlocks it", RED) in lines
     assert not any("hostlink unlock" in line.text for line in lines)
+    asked = shown(locked=True, lock_reason="my foot", asks=True)
+    assert Line("LOCKED: my foot   REALLY UNLOCK? r again does it", RED) in asked
+
+
+@pytest.mark.parametrize(("layout", "keys"), [("original", "q or Ctrl-C ends"), ("twist", "Ctrl-C ends")])
+def test_the_screen_names_the_keys_that_end_it(layout: str, keys: str) -> None:
+    assert shown(layout=layout)[-1].text.endswith(f"; {keys}")
+    driving = Driving(layout=layout, linear_m_s=0.2, angular_rad_s=0.8)
+    assert lost_screen("robot_0", "gone", driving, width=99)[-1].text.endswith(f", {keys}")
 
 
 def test_warnings_are_coloured() -> None:
