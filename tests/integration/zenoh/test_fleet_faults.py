@@ -18,6 +18,7 @@ from hostlink.graphs.zenoh.fleet_messages import (
     TopicList,
     encode,
 )
+from hostlink.graphs.zenoh.lingering import ZENOHS, stream_sockets
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import driven
@@ -61,6 +62,13 @@ async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:
         assert b.hub.robots.remote["robot_7"].link != before  # every driver must drive again
         await expect(lambda: a.hub.counts.graphs["fleet"]()["met"] == 2)
         assert (await drive(b, "robot_7", 0.1))[0] == 200
+
+
+async def test_no_link_of_a_fleet_is_closed_with_waiting() -> None:
+    """A close that waits 10 s for a host that vanished makes the daemon deaf to all others (tools/netns_fleet.py)."""
+    async with fleet("a", "b") as (a, _):
+        await expect(lambda: a.hub.counts.graphs["zenoh"]()["links"] >= 1)
+        await expect(lambda: all(linger != ZENOHS for linger in stream_sockets().values()))
 
 
 async def test_delayed_commands_move_no_robot() -> None:
