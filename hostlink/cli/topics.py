@@ -860,6 +860,7 @@ def pub(
 
 
 PUB_RATE_HZ = 10.0
+VELOCITY_HOLDS_S = 0.5  # the lease of robot/admission.py
 
 
 def message_count(rate_hz: float | None, count: int | None, *, once: bool) -> int:
@@ -975,6 +976,8 @@ async def _pub(
             if sent > rate_hz * PATIENCE_S and not sent % max(1, round(rate_hz)):
                 show_progress(f"{sent} sent{f' of {publishing.count}' if publishing.count else ''}; Ctrl-C ends")
         await host.settle()
+        if publishing.count > 1:  # the last velocity lasts as long as the others: ten at 10 Hz drive for a second
+            await asyncio.sleep(min(1 / publishing.rate_hz, VELOCITY_HOLDS_S))
 
 
 async def _write_if_unheard(host: Host, topic: str, type_name: str) -> None:

@@ -45,7 +45,7 @@ def own_context() -> contextvars.Context:
 class Callers:
     """Times of calls: when one begins, when it returns, and with each item of a stream.
 
-    A call that waits does not count: it may wait for what never comes.
+    A call that waits does not count: it may wait for ever.
     """
 
     def __init__(self, clock: Callable[[], float] = boot_s) -> None:
