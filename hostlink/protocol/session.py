@@ -37,6 +37,11 @@ from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
 
 STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
+SLOW_FRAME_S = 11.0  # a device whose loop takes seconds sends a frame in two pieces; longer than that ends the link
+_IDS_FROM_DEVICE = frozenset(
+    {Id.PUBLISHER, Id.SUBSCRIBER, Id.SERVICE_SERVER_PUBLISHER, Id.SERVICE_SERVER_SUBSCRIBER, Id.PARAMETER, Id.LOG}
+    | {Id.SERVICE_CLIENT_PUBLISHER, Id.SERVICE_CLIENT_SUBSCRIBER, Id.TIME}
+)
 DEFAULT_BUFFER_BYTES = 512  # rosserial's default
 KEPT_BYTES = 1024  # a few boot messages, or a hundred lines of plain text
 
@@ -123,6 +128,8 @@ class Session:
     def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
         """Process bytes from the device."""
         self.counts.bytes_from_device += len(data)
+        if self._stream.pending:
+            self.negotiation.note_pause(now_s - self.negotiation.received_at_s)
         self.negotiation.received_at_s = now_s
         found: list[events.Event] = []
         self._read(self._stream.feed(data), now_s, found)
@@ -134,7 +141,7 @@ class Session:
         """Do what is due by now. Call it at `deadline_s`."""
         found: list[events.Event] = []
         negotiation = self.negotiation
-        if self._stream.pending and now_s >= negotiation.received_at_s + STALLED_FRAME_S:
+        if self._stream.pending and now_s >= self._stalled_at_s():
             negotiation.received_at_s = now_s
             self._read(self._stream.give_up(), now_s, found)
         if negotiation.is_quiet(now_s):
@@ -158,8 +165,20 @@ class Session:
         """Time at which `tick` must be called if no byte arrives before."""
         deadline_s = self.negotiation.deadline_s()
         if self._stream.pending:
-            return min(deadline_s, self.negotiation.received_at_s + STALLED_FRAME_S)
+            return min(deadline_s, self._stalled_at_s())
         return deadline_s
+
+    def _stalled_at_s(self) -> float:
+        """Time at which the frame at the head of the stream is given up.
+
+        One with a known id or a part of a header is kept for long: a whole frame inside it is found all the same.
+        """
+        pending = self._stream.pending
+        is_kept = len(pending) < HEADER.size
+        if not is_kept:
+            topic_id: int = HEADER.unpack_from(pending)[3]
+            is_kept = topic_id in _IDS_FROM_DEVICE or topic_id in self._topics.by_key
+        return self.negotiation.received_at_s + (SLOW_FRAME_S if is_kept else STALLED_FRAME_S)
 
     def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
         """Remove and return the next frame. None: the queues are empty, or the device's UART is busy."""

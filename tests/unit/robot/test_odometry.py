@@ -374,7 +374,7 @@ def test_pose_that_the_device_stamped_keeps_its_stamp_in_a_bunch() -> None:
 
 @given(st.lists(st.tuples(st.integers(1, 4), st.floats(-0.02, 0.02)), min_size=3, max_size=40))
 def test_messages_that_arrive_one_by_one_were_sent_when_they_arrived(gaps: list[tuple[int, float]]) -> None:
-    """Also from a device that leaves some out."""
+    """A device may leave some out."""
     times = SendTimes()
     for at_s in itertools.accumulate(0.1 * count + jitter_s for count, jitter_s in gaps):
         assert times.add(at_s) == at_s
