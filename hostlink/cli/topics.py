@@ -178,8 +178,9 @@ def _fact_lines(found: dict[str, Any]) -> list[str]:
 
 # -- info -------------------------------------------------------------------------------------------------------------
 
-_RECORDING = ".mcap"
-_BAG_METADATA = "metadata.yaml"  # of a folder of rosbag2
+_RECORDING = (".mcap", ".bag", ".bag.active", ".db3")
+_IN_FOLDER = (*_RECORDING, "metadata.yaml")  # the last one is of a folder of rosbag2
+PARTS_OF_TOPIC = 2  # "/run" has two parts
 
 
 def info(
@@ -210,10 +211,17 @@ def info(
 
 
 def is_recording(name: str) -> bool:
-    """Whether `name` is a file or a folder of rosbag2, rather than a name of the graph."""
+    """Whether `name` is a file or a folder of recordings, rather than a name of the graph.
+
+    A topic may have the name of a folder, such as /run. Such a folder needs recordings in it.
+    """
     try:
-        return name.endswith(_RECORDING) or Path(name).is_file() or (Path(name) / _BAG_METADATA).is_file()
-    except (OSError, ValueError):  # the name is too long for a file, or has a zero byte
+        path = Path(name)
+        if name.endswith(_RECORDING) or path.is_file():
+            return True
+        is_path = name.startswith((".", "~")) or len(path.parts) > PARTS_OF_TOPIC or name.endswith("/")
+        return path.is_dir() and (is_path or any(each.name.endswith(_IN_FOLDER) for each in path.iterdir()))
+    except (OSError, ValueError):  # the name is too long for a file, or has a zero byte; or the folder is private
         return False
 
 

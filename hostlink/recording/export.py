@@ -20,6 +20,7 @@ from hostlink.recording.reader import RecordingSource, open_source
 from hostlink.recording.tables import decoder_of, flat
 
 MAX_NAMED = 10  # topics named in a refusal
+OF_TOOLS = ("/parameter_events", "/rosout")  # every node of ROS 2 publishes them for itself
 
 
 @dataclass(slots=True)
@@ -44,7 +45,8 @@ class Exported:
 def chosen_channels(path: Path, patterns: Iterable[str], done: Exported, *, skips_unknown: bool) -> set[Channel]:
     """Return the channels to export: those whose topics match a pattern, or all without patterns.
 
-    `skips_unknown`: channels that cannot be converted are noted in `done` and omitted.
+    `skips_unknown`: channels that cannot be converted are noted in `done` and omitted. Those of ROS 2's own tools are
+    omitted in any case, unless they are named.
 
     Raises:
         UnknownFormat: some channels cannot be converted; the text names them.
@@ -57,8 +59,9 @@ def chosen_channels(path: Path, patterns: Iterable[str], done: Exported, *, skip
         raise RecordingFailed(f"{path} has no topic {' '.join(listed)}; available: {topics or 'none'}")
     unknown = {channel: why for channel in chosen if (why := why_unknown(channel))}
     named = {channel.topic: f"{channel.type_name}: {why}" for channel, why in unknown.items()}
-    if unknown and not skips_unknown:
-        lines = [f"{topic} ({why})" for topic, why in sorted(named.items())]
+    refused = {topic: why for topic, why in named.items() if topic not in OF_TOOLS or topic in listed}
+    if refused and not skips_unknown:
+        lines = [f"{topic} ({why})" for topic, why in sorted(refused.items())]
         more = f"; and {len(lines) - MAX_NAMED} more" if len(lines) > MAX_NAMED else ""
         raise UnknownFormat(
             f"{path}: cannot convert {'; '.join(lines[:MAX_NAMED])}{more}. "

@@ -625,6 +625,8 @@ def _first_steady_ns(file: IO[bytes], index: Index, number: int) -> int | None:
 
 
 ROS1_SUFFIX, ROS2_SUFFIX = ".bag", ".db3"
+UNFINISHED_SUFFIX = ".bag.active"  # of a ROS 1 bag that is being written, or that was not closed
+BAGS = (ROS1_SUFFIX, UNFINISHED_SUFFIX, ROS2_SUFFIX)
 
 
 class BagReader:
@@ -704,9 +706,21 @@ def open_source(path: Path) -> RecordingSource:
         RecordingFailed: it is a folder, but not a bag of ROS 2.
     """
     if path.is_dir() and not (path / "metadata.yaml").is_file():
-        raise RecordingFailed(f"{path} is a folder without metadata.yaml, so it is not a bag of ROS 2; name a file")
-    is_bag = path.is_dir() or path.suffix in (ROS1_SUFFIX, ROS2_SUFFIX)
+        raise RecordingFailed(
+            f"{path} is a folder without metadata.yaml, so it is not a bag of ROS 2; {_files_of(path)}"
+        )
+    is_bag = path.is_dir() or path.name.endswith(BAGS)
     return BagReader(path) if is_bag else McapReader(path)
+
+
+def _files_of(folder: Path) -> str:
+    """Return what to name instead of a folder."""
+    with contextlib.suppress(OSError):
+        found = sorted(each for each in folder.iterdir() if each.name.endswith((".mcap", *BAGS)))
+        if found:
+            more = f" ({len(found)} files)" if len(found) > 1 else ""
+            return f"name a file of it, such as {found[-1]}{more}"
+    return "name a file"
 
 
 def _bag_channel(connection: Any) -> Channel:

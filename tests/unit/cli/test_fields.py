@@ -82,3 +82,17 @@ def test_file_of_any_name_is_a_recording(tmp_path: Path) -> None:
     (tmp_path / "run").touch()
     assert is_recording(str(tmp_path / "run"))
     assert is_recording("no/such/file.mcap")
+
+
+def test_folder_is_a_recording_if_it_has_one_or_is_written_as_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot_0").mkdir()
+    assert not is_recording("robot_0")
+    assert not is_recording("/run")
+    assert is_recording("./robot_0")
+    assert is_recording("robot_0/")
+    assert is_recording(str(tmp_path / "robot_0"))
+    (tmp_path / "robot_0" / "run.mcap").touch()
+    assert is_recording("robot_0")

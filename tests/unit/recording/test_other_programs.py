@@ -34,6 +34,7 @@ from tests.support.foreign_recordings import (
     ROS1,
     ROS2,
     SEPARATOR,
+    TEXT,
     mcap_file,
     odometry,
     ros1_bag,
@@ -302,3 +303,13 @@ def test_file_that_is_too_mixed_up_to_be_sorted_is_sorted_in_part_and_says_so(
     found = [int(message.payload[4:]) for message in source.messages()]
     assert sorted(found) == list(range(15))
     assert source.damage == ["its messages are too mixed up to be sorted by time; they are sorted in part"]
+
+
+def test_topic_of_the_tools_of_ros_2_does_not_stop_an_export_unless_it_is_named(tmp_path: Path) -> None:
+    """Bags of old distributions have it without a definition, or in another encoding."""
+    odd = ("/parameter_events", "", "rcl_interfaces/msg/ParameterEvent", "", b"", b"\1")
+    path = mcap_file(tmp_path / "run.mcap", odd, TEXT)
+    done, lines = export_csv(open_source(path), tmp_path / "csv")
+    assert (lines, list(done.left_out)) == ({"text.csv": 1}, ["/parameter_events"])
+    with pytest.raises(UnknownFormat, match="/parameter_events"):
+        export_csv(open_source(path), tmp_path / "other", topics=["/parameter_events"])
