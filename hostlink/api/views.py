@@ -10,6 +10,7 @@ import msgspec
 
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.device import Device
+from hostlink.hub.graph_view import is_derived
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import AnyRobot
 from hostlink.hub.topic import Topic
@@ -363,6 +364,7 @@ def topic_views(hub: Hub) -> list[TopicView]:
             "publishers": len(topic.publishers),
             "subscribers": len(topic.subscribers) + len(topic.devices),
             "messages": topic.messages,
+            "is_derived": is_derived(topic),
         }
         for topic in hub.topics.all()
     ]

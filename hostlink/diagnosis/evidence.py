@@ -118,6 +118,7 @@ class Evidence:
     requests: int = 0  # number of topic requests
     negotiated_s: float | None = None  # since the first negotiation
     time_requested_s: float | None = None  # since the last time request that the host did not provoke
+    never_requests_time: bool = False  # not even with its topics
     time_intervals_s: tuple[float, ...] = ()  # between unprovoked time requests
     stamps_behind_s: float | None = None  # arrival time minus the device's header stamps
     sharing: PortSharing = UNSHARED  # of a serial port

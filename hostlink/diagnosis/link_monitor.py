@@ -203,6 +203,7 @@ class LinkMonitor:
             requests=session.counts.topic_requests,
             negotiated_s=_ago(self._negotiated_at_s, now_s, host),
             time_requested_s=_ago(self._time_requested_at_s, now_s, host),
+            never_requests_time=self._previous_at_s == -math.inf,
             time_intervals_s=tuple(self._intervals_s),
             stamps_behind_s=self._stamps(),
             sharing=self.sharing,

@@ -30,6 +30,9 @@ SHORT_LIFE_S = 30.0  # a link that lasted longer did not end in a boot loop
 CLOCK_ERROR = 0.04  # ceramic resonators are within 0.5 %, RC oscillators within 2 or 3 %
 STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it receives, some tens of milliseconds
 JITTER_S = 0.5  # a radio or a busy host may delay one request so much, and the next ones then seem early
+FASTEST_RATE = 1.18  # of an oscillator that is not trimmed: 10 %, and some for its voltage and temperature
+CRYSTAL_RATES = (4 / 3, 3 / 2, 2.0)  # a board of 16 or 12 MHz with a program for 12 or 8; 5/4 would be every 2 s
+CRYSTAL_ERROR = 0.03  # of the interval, with a turn of the device's loop
 CLOCK_INTERVALS = 3  # the median of three tolerates one outlier
 WHEEL_S = 600.0  # a wheel shows its fault only while it is driven, and a person may be repairing it
 WEAK_DBM = -80  # same limit as firmware/esp8266: below it packets are lost and sent again
@@ -145,8 +148,8 @@ def _went_silent(evidence: Evidence) -> str | None:
 
 
 def _time_stopped(evidence: Evidence) -> str | None:
-    if evidence.negotiated_s is None or evidence.silent_s >= WENT_SILENT_S:
-        return None
+    if evidence.negotiated_s is None or evidence.silent_s >= WENT_SILENT_S or evidence.never_requests_time:
+        return None  # some libraries never request the time, as MicroPython's uPy-rosserial
     known = (evidence.negotiated_s, evidence.time_requested_s)
     waited_s = min(at_s for at_s in known if at_s is not None)
     return f"for {waited_s:.0f} s" if waited_s >= TIME_STOPPED_S else None
@@ -194,8 +197,15 @@ def _clock_trouble(evidence: Evidence) -> str | None:
         return None
     interval_s = median(evidence.time_intervals_s)
     early_s = TIME_REQUEST_S * len(evidence.time_intervals_s) - sum(evidence.time_intervals_s)
-    is_fast = interval_s < TIME_REQUEST_S * (1 - CLOCK_ERROR) and early_s >= JITTER_S  # a slow clock may be a slow loop
+    is_fast = _is_fast(interval_s) and early_s >= JITTER_S  # a slow clock may be a slow loop
     return f"time requests every {interval_s:.2f} s instead of {TIME_REQUEST_S:g} s" if is_fast else None
+
+
+def _is_fast(interval_s: float) -> bool:
+    """Whether a clock that is fast explains the interval. Other libraries request the time in a rhythm of their own."""
+    rate = TIME_REQUEST_S / interval_s
+    is_inexact = 1 / (1 - CLOCK_ERROR) < rate <= FASTEST_RATE
+    return is_inexact or any(abs(rate / crystal - 1) < CRYSTAL_ERROR for crystal in CRYSTAL_RATES)
 
 
 def _flashed_alike(evidence: Evidence) -> str | None:

@@ -46,6 +46,11 @@ class Graph:
     services: tuple[GraphService, ...]
 
 
+def is_derived(topic: Topic) -> bool:
+    """Whether hostlink itself publishes a topic, and nothing else does."""
+    return bool(topic.publishers) and all(isinstance(key, Node) and key.is_daemon for key in topic.publishers)
+
+
 def graph_topic(topic: Topic | None, group: str) -> GraphTopic | None:
     """Return the topic as the group sees it; None if there is none, or none with a user outside of the group."""
     if topic is None:
@@ -60,7 +65,7 @@ def graph_topic(topic: Topic | None, group: str) -> GraphTopic | None:
         is_subscribed=bool(topic.devices) or any(not is_of(key, group) for key in subscribers),
         is_latched=any(key in topic.latched for key in publishers),
         is_velocity=topic.is_gated,
-        is_derived=bool(topic.publishers) and all(isinstance(key, Node) and key.is_daemon for key in topic.publishers),
+        is_derived=is_derived(topic),
     )
     return found if found.is_published or found.is_subscribed else None
 

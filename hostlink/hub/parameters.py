@@ -99,7 +99,7 @@ class ParameterAnswers:
     def _note_unknown(self, name: str) -> None:
         """Log an unknown name once, while it is kept."""
         if name not in self._unknown:
-            log.warning("parameter.unknown", name=printable(name))
+            log.info("parameter.unknown", name=printable(name))
         self._unknown[name] = None
         self._unknown.move_to_end(name)
         if len(self._unknown) > MAX_UNKNOWN_NAMES:

@@ -261,9 +261,9 @@ class Session:
         return may_have
 
     def may_have(self, info: TopicInfo) -> bool:
-        """Whether the device may still have this endpoint: its id has no other name and type now."""
+        """Whether the device may still have this endpoint: its id has no other name, type and md5 sum now."""
         now = self._topics.by_key.get(info.key)
-        return now is None or now.name == info.name or now.type == info.type
+        return now is None or now.name == info.name or now.type == info.type or now.md5 == info.md5
 
     def endpoint_of(self, topic: str, payload: bytes) -> TopicInfo:
         """Return the endpoint of a topic to which the device subscribes. It takes messages as long as this one.

@@ -82,3 +82,4 @@ class TopicView(TypedDict):
     publishers: int
     subscribers: int
     messages: int  # that have passed
+    is_derived: bool  # hostlink publishes it, and mostly only while it has subscribers

@@ -112,6 +112,7 @@ class Fault:
     transform: Callable[[Frame], bytes] = lambda frame: encode(*frame)  # changes each frame to the host
     at_power_up: bytes = b""  # bytes before the first frame
     clock_rate: float = 1.0  # seconds of the device's clock per second
+    time_requests: int | None = None  # that are passed on; None: all
     runs_s: float | None = None  # interval of its restarts; None: it does not restart
     break_wheel: Callable[[SimulatedWheel], None] = lambda _: None  # fault of its left wheel
 
@@ -124,13 +125,13 @@ FAULTS = {
     "text": Fault(transform=lambda frame: _TEXT + encode(*frame)),  # Serial.print between the frames
     "no_topics": Fault(transform=_without(range(Id.SERVICE_CLIENT_SUBSCRIBER + 1))),  # TopicInfos never come
     "wrong_md5": Fault(transform=_announcing(Id.PUBLISHER, md5="0" * 32)),  # an old definition of a message
-    "time_stops": Fault(transform=_without([Id.TIME])),  # requests for the time never come
+    "time_stops": Fault(time_requests=1),  # its requests for the time end after the first
     "small_buffer": Fault(
         transform=_announcing(Id.SUBSCRIBER, buffer_bytes=_TWIST_BYTES)
     ),  # a frame of a Twist is longer
     "reboots": Fault(runs_s=RUN_S),  # starts anew every RUN_S seconds
     "boot_noise": Fault(at_power_up=resample(_BOOT_TEXT, ratio=_BOOT_RATIO)),  # an ESP8266's boot message
-    "clock": Fault(clock_rate=1.25),  # its clock is a quarter too fast
+    "clock": Fault(clock_rate=4 / 3),  # a board of 16 MHz with a program for 12 MHz
     "stalled_wheel": Fault(break_wheel=lambda wheel: wheel.grip(0.0)),  # its left wheel is blocked
     "runaway_wheel": Fault(break_wheel=lambda wheel: wheel.break_driver()),  # its left motor's driver is broken
 }
@@ -143,11 +144,18 @@ class FaultyLine:
         self._fault = fault
         self._stream = FrameStream()
         self._power_up = fault.at_power_up
+        self._time_requests = 0
 
     def pass_on(self, data: bytes) -> bytes:
         """Return the bytes that the host receives for `data` from the device."""
         if self._fault is HEALTHY:
             return data
-        frames = [item for item in self._stream.feed(data) if isinstance(item, Frame)]
+        frames = [item for item in self._stream.feed(data) if isinstance(item, Frame) and self._is_passed(item)]
         changed, self._power_up = self._power_up + b"".join(map(self._fault.transform, frames)), b""
         return changed
+
+    def _is_passed(self, frame: Frame) -> bool:
+        if frame.topic_id != Id.TIME:
+            return True
+        self._time_requests += 1
+        return self._fault.time_requests is None or self._time_requests <= self._fault.time_requests

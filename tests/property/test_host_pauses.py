@@ -196,7 +196,7 @@ def test_host_pauses_and_restarts_cause_no_finding_about_a_healthy_device(
 
 
 SICK = {
-    "clock_trouble": {"time_period_s": 2.0},
+    "clock_trouble": {"time_period_s": 2.2},
     "time_stopped": {"time_period_s": math.inf},
     "damaged": {"damages_every": 7},
 }

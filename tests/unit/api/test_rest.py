@@ -231,6 +231,7 @@ def test_links_topics_clients_and_health_are_shown() -> None:
         topics = {each["name"]: each for each in (await api.call("GET", "/api/topics"))[1]["topics"]}
         assert topics["/robot_0/odometry"]["type"] == "geometry_msgs/Pose2D"
         assert topics["/robot_0/odometry"]["publishers"] == 1
+        assert (topics["/robot_0/odometry"]["is_derived"], topics["/robot_0/odom"]["is_derived"]) == (False, True)
         assert (await api.call("GET", "/api/clients"))[1] == {"clients": [], "refused": 0}
         assert (await api.call("GET", "/healthz"))[1]["status"] == "alive"
 

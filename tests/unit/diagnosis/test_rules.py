@@ -103,7 +103,9 @@ CASES = [
         "by its watchdog",
     ),
     ("weak_signal", replace(HEALTHY, signal_dbm=-81), "-81 dBm"),
-    ("clock_trouble", replace(HEALTHY, time_intervals_s=(2.0, 2.0, 2.6)), "every 2.00 s instead of 2.5 s"),
+    ("clock_trouble", replace(HEALTHY, time_intervals_s=(2.2, 2.2, 2.6)), "every 2.20 s instead of 2.5 s"),
+    ("clock_trouble", replace(HEALTHY, time_intervals_s=(1.9,) * 4), "every 1.90 s instead of 2.5 s"),
+    ("clock_trouble", replace(HEALTHY, time_intervals_s=(1.25,) * 4), "every 1.25 s instead of 2.5 s"),
     ("clock_trouble", replace(HEALTHY, stamps_behind_s=-3600.0), "its stamps are 3600.0 s ahead"),
     ("clock_trouble", replace(HEALTHY, host_clock="its clock is not set"), "this computer: its clock is not set"),
     ("damaged", replace(HEALTHY, recent=GOOD._replace(bad_checksums=3)), "3 bad checksums and 100 good frames"),
@@ -142,7 +144,12 @@ def test_sufficient_evidence_gives_the_finding(code: str, evidence: Evidence, de
         replace(HEALTHY, silent_s=5.9),
         replace(HEALTHY, time_requested_s=7.9),
         replace(HEALTHY, time_requested_s=None, negotiated_s=7.9),
-        replace(HEALTHY, time_intervals_s=(2.0, 2.0)),
+        replace(HEALTHY, time_requested_s=None, negotiated_s=60.0, never_requests_time=True),
+        replace(HEALTHY, time_intervals_s=(2.2, 2.2)),
+        *(
+            replace(HEALTHY, time_intervals_s=(rhythm_s,) * 8)
+            for rhythm_s in (0.1, 0.3, 0.5, 1.0, 1.03, 1.5, 2.0, 2.03)
+        ),
         replace(HEALTHY, stamps_behind_s=0.9),
         replace(HEALTHY, time_intervals_s=(2.53, 2.6, 3.5)),
         replace(HEALTHY, end="peer_closed"),

@@ -393,14 +393,14 @@ def test_longest_frame_to_the_device_is_its_largest_buffer() -> None:
     assert host.session.longest_to_device_bytes == LED.buffer_bytes
 
 
-def test_zero_is_sent_to_an_endpoint_unless_its_id_has_another_name_and_type() -> None:
+def test_zero_is_sent_to_an_endpoint_unless_its_id_has_another_name_type_and_md5_sum() -> None:
     host = Host(LED)
     for info in (LED, LED._replace(md5="n"), LED._replace(buffer_bytes=1), LED._replace(topic_id=116)):
         assert host.session.send_zero(info, b"\0")
         assert host.sent() == [Frame(info.topic_id, b"\0")]
-    for info in (LED._replace(name="/lid"), LED._replace(type="std_msgs/Bowl")):
+    for info in (LED._replace(name="/lid"), LED._replace(type="std_msgs/Bowl", name="/lid")):
         assert host.session.may_have(info)
-    other = LED._replace(name="/lid", type="std_msgs/Bowl")
+    other = LED._replace(name="/lid", type="std_msgs/Bowl", md5="n")
     assert not host.session.may_have(other)
     assert not host.session.send_zero(other, b"\0")
     assert host.sent() == []

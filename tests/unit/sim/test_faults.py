@@ -34,7 +34,7 @@ def test_a_healthy_line_changes_nothing() -> None:
         ("text", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
         ("no_topics", [Id.TIME, 125]),
         ("wrong_md5", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
-        ("time_stops", [Id.PUBLISHER, Id.SUBSCRIBER, 125]),
+        ("time_stops", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
         ("small_buffer", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
         ("boot_noise", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
         ("reboots", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
