@@ -70,6 +70,7 @@ class Subscription:
         while self.waiting:
             self._pop()
         topic, self._topic = self._topic, None  # otherwise they form a reference cycle
+        self._deliver, self._on_throttled = _ignore, _call_nothing  # another one: a client's callback has it
         if topic is not None and self.key is not None:
             self.key.unsubscribe(self, topic, self._number)
 
@@ -128,6 +129,14 @@ class Subscription:
         oldest = self.waiting.popleft()
         self._share.give(len(oldest.payload))
         return oldest
+
+
+def _ignore(_: Message) -> None:
+    """Replace the callback of a closed subscription."""
+
+
+def _call_nothing() -> None:
+    """Do nothing: a closed subscription has no owner to tell."""
 
 
 _NO_ROOM: deque[Message] = deque(maxlen=0)  # shared: it stays empty, and an empty deque has 600 bytes

@@ -199,7 +199,7 @@ class Link:
         self._timer_s = math.inf
         self._context = _NO_CONTEXT  # set by `run`
         self._finished: asyncio.Future[LinkEnd] = asyncio.get_running_loop().create_future()
-        self._helper = Helper(f"link {number} writer", self._finished.done)
+        self._helper = Helper(f"link {number} writer", self._end_broken)
         self._failure: Exception | None = None
         self._end: LinkEnd | None = None
         self._trouble = Trouble(self.opened_at_s)
@@ -381,10 +381,23 @@ class Link:
         return min(self.session.deadline_s(), self._silent_at_s())
 
     def _crash(self, error: Exception) -> None:
-        """End the link because a callback of the event loop failed. `run` raises the error."""
+        """End the link because a callback of the event loop failed. `run` raises the error, unless it is an OSError."""
+        if isinstance(error, OSError):
+            self._end_broken(error)
+            return
         if self._failure is None:
             self._failure = error
         self._finish(LinkEnd.CRASHED)
+
+    def _end_broken(self, error: OSError) -> bool:
+        """End the link because its connection is lost, unless it ends already. False: it has not proven its key."""
+        if self._finished.done():
+            return True
+        if isinstance(error, ConnectionRefusedError):
+            return False
+        log.debug("link.broken", cause=str(error))
+        self._finish(LinkEnd.BROKEN)
+        return True
 
     def _finish(self, end: LinkEnd) -> None:
         self._reader.stop()

@@ -47,19 +47,21 @@ async def trust() -> None:
 class Helper:
     """Second task of a link. Most links have it only while they open."""
 
-    __slots__ = ("_is_over", "_name", "_task", "_tasks")
+    __slots__ = ("_end_broken", "_name", "_task", "_tasks")
 
-    def __init__(self, name: str, is_over: Callable[[], bool]) -> None:
-        """`is_over` says that the reason of the end is known, so that an error of the connection changes nothing."""
-        self._name, self._is_over = name, is_over
+    def __init__(self, name: str, end_broken: Callable[[OSError], bool]) -> None:
+        """`end_broken` ends the link after an error of its connection. Return False if the error is to be raised."""
+        self._name, self._end_broken = name, end_broken
         self._tasks: asyncio.TaskGroup | None = None
         self._task: asyncio.Task[None] | None = None
 
     def enter(self, tasks: asyncio.TaskGroup | None) -> None:
         """Set the parent of the task; None: no task is started from now on, and the last one is cancelled."""
         self._tasks = tasks
-        if tasks is None and self._task is not None:
-            self._task.cancel()
+        if tasks is None:
+            self._end_broken = _ignore  # otherwise helper and link form a reference cycle
+            if self._task is not None:
+                self._task.cancel()
 
     def start(self, work: Callable[[], Coroutine[Any, Any, None]], context: contextvars.Context) -> None:
         """Start the task, unless one is at work."""
@@ -70,13 +72,18 @@ class Helper:
     async def _run(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
         try:
             await work()
-        except OSError:
-            if not self._is_over():  # otherwise the task group would count this task as cancelled
+        except OSError as error:  # raised, its traceback would keep the link until garbage is collected
+            if not self._end_broken(error):
                 raise
 
     def _forget(self, ended: "asyncio.Task[None]") -> None:
         if self._task is ended:  # otherwise another one was started in the same turn of the loop
             self._task = None
+
+
+def _ignore(_: OSError) -> bool:
+    """Ignore an error of the connection: the reason of the link's end is known."""
+    return True
 
 
 async def serve(

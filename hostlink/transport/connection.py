@@ -202,6 +202,8 @@ class StreamTransport(BufferedConnection):
             raise
         finally:
             self.on_readable = ignore  # otherwise link and connection form a reference cycle
+            if self._error is not None:
+                self._error.__traceback__ = None  # another one: its frames have the connection
 
     async def _leave(self) -> None:
         """Wait before closing. A stream needs nothing: closing sends what was written."""

@@ -2,7 +2,11 @@
 
 import asyncio
 import gc
+import socket
+import struct
 from typing import NamedTuple
+
+import pytest
 
 from hostlink.hub.diagnoses import ENDED_LINKS
 from hostlink.hub.topic import Topic
@@ -39,8 +43,8 @@ def left(before: list[object]) -> Left:
     return Left(links, sum(type(each) is Session for each in objects), topics)
 
 
-async def come_and_go(host: Daemon, number: int) -> tuple[int, str]:
-    """A robot connects and disconnects: the number of its link, the name of its topic."""
+async def come_and_go(host: Daemon, number: int, *, is_reset: bool = False) -> tuple[int, str]:
+    """A robot connects and disconnects, or resets its connection: the number of its link, the name of its topic."""
     reader, writer = await asyncio.open_connection(*host.tcp)
     infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in robot_topics(f"robot_{number}"))
     writer.write(TIME + infos + TIME)
@@ -50,22 +54,27 @@ async def come_and_go(host: Daemon, number: int) -> tuple[int, str]:
     (link,) = host.hub.links.all()
     link_number = link.number
     del link
-    writer.write_eof()
-    await reader.read()  # all of it: a reset is an error, whose traceback keeps what it passed
-    writer.close()
+    if is_reset:
+        writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        writer.transport.abort()
+    else:
+        writer.write_eof()
+        await reader.read()
+        writer.close()
     await expect(lambda: not host.hub.links.all())
     return link_number, name
 
 
-async def test_a_link_that_has_ended_is_freed_without_the_garbage_collector() -> None:
+@pytest.mark.parametrize("is_reset", [False, True])
+async def test_a_link_that_has_ended_is_freed_without_the_garbage_collector(is_reset: bool) -> None:
     async with daemon(has_black_box=True) as host:
         gc.collect()
         gc.disable()
         try:
             before = kept()  # a failed test keeps what its traceback names
-            link_number, topic = await come_and_go(host, 0)
+            link_number, topic = await come_and_go(host, 0, is_reset=is_reset)
             for number in range(1, ENDED_LINKS + 2):  # of so many the diagnoses are kept
-                await come_and_go(host, number)
+                await come_and_go(host, number, is_reset=is_reset)
             await expect(lambda: link_number not in left(before).links)
             await expect(lambda: topic not in left(before).topics)
             await expect(lambda: left(before).sessions <= ENDED_LINKS)

@@ -1,5 +1,6 @@
 """Subscription: throttle_rate and queue_length as rosbridge's clients expect them (docs/api.md)."""
 
+import weakref
 from itertools import pairwise
 
 from hypothesis import given
@@ -135,3 +136,13 @@ def test_two_messages_are_never_closer_than_the_interval_nor_out_of_order(
         times += [now_s] * (len(receiver.numbers) - before)
     assert all(later >= earlier + 1.0 for earlier, later in pairwise(times))  # their difference may be rounded
     assert receiver.numbers == sorted(receiver.numbers)
+
+
+def test_closed_subscription_keeps_nothing_of_its_owner() -> None:
+    """Otherwise a client that subscribes and unsubscribes makes a cycle each time, until garbage is collected."""
+    receiver = Receiver()
+    subscription, kept = receiver.subscription, weakref.ref(receiver)
+    subscription.close()
+    del receiver
+    assert kept() is None
+    subscription.receive(Message("/t", "", None, b"late", source=None, stamp_ns=0, at_s=0.0))

@@ -29,7 +29,7 @@ class Works:
 
 @virtual
 async def test_one_task_works_at_a_time() -> None:
-    helper, works, context = Helper("test", lambda: False), Works(), contextvars.copy_context()
+    helper, works, context = Helper("test", lambda _: False), Works(), contextvars.copy_context()
     async with asyncio.TaskGroup() as tasks:
         helper.enter(tasks)
         helper.start(works.endless, context)
@@ -42,7 +42,7 @@ async def test_one_task_works_at_a_time() -> None:
 
 @virtual
 async def test_task_that_starts_in_the_turn_in_which_one_ended_is_cancelled_at_the_end() -> None:
-    helper, works, context = Helper("test", lambda: False), Works(), contextvars.copy_context()
+    helper, works, context = Helper("test", lambda _: False), Works(), contextvars.copy_context()
     async with asyncio.TaskGroup() as tasks:
         helper.enter(tasks)
         helper.start(works.short, context)
@@ -55,7 +55,7 @@ async def test_task_that_starts_in_the_turn_in_which_one_ended_is_cancelled_at_t
 @pytest.mark.parametrize("is_over", [True, False])
 def test_error_of_the_connection_counts_until_the_reason_of_the_end_is_known(*, is_over: bool) -> None:
     async def run() -> None:
-        helper, works = Helper("test", lambda: is_over), Works()
+        helper, works = Helper("test", lambda _: is_over), Works()
         async with asyncio.TaskGroup() as tasks:
             helper.enter(tasks)
             helper.start(works.broken, contextvars.copy_context())
