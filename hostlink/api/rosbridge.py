@@ -17,7 +17,7 @@ import cbor2
 import msgspec
 import structlog
 
-from hostlink.api.bodies import convert_fields, size_bytes_of
+from hostlink.api.bodies import convert_velocity, size_bytes_of
 from hostlink.api.clients import (
     NOT_A_VELOCITY,
     ClientQueue,
@@ -61,8 +61,8 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
     """
 
     robot: str
-    linear: float
-    angular: float
+    linear: float = 0.0
+    angular: float = 0.0
     linear_y: float = 0.0
     is_planar: bool = True  # False: other components of the Twist are not zero, and no robot obeys it
     priority: int = PROGRAM_PRIORITY
@@ -108,7 +108,7 @@ class Request:
             BadRequest: a field is unknown, missing or has another type.
         """
         if self._drive is None:
-            self._drive = convert_fields(self.fields, DriveOperation, "drive")
+            self._drive = convert_velocity(self.fields, DriveOperation, "drive")
         return self._drive
 
     def payload(self, type_: MessageType) -> bytes:
