@@ -22,7 +22,7 @@ from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import RAW, Graphs, GraphWatch, RawSubscription, Subscription, Topics, read_raw
 from hostlink.client.type_names import TypeName, type_name_of
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
-from hostlink.errors import BadRequest, HostlinkError
+from hostlink.errors import BadRequest, HostlinkError, Refused
 from hostlink.robot.standstill import Standstill
 
 # -- host -------------------------------------------------------------------------------------------------------------
@@ -180,22 +180,29 @@ class Host:
         return self._topics.advertise(topic, type_name_of(type_name), is_latched=is_latched)
 
     def subscribe(
-        self, topic: str, *, type_name: TypeName = "", throttle_rate_ms: int = 0, queue_length: int = 0
+        self,
+        topic: str,
+        *,
+        type_name: TypeName = "",
+        throttle_rate_ms: int = 0,
+        queue_length: int = 0,
+        timeout_s: float | None = None,
     ) -> contextlib.AbstractAsyncContextManager[Subscription]:
         """The messages of a topic, from now on, for the length of the block, across losses of the connection too.
 
         With `throttle_rate_ms` at most one message in so many milliseconds; the newest `queue_length` wait. Messages
         are dicts as in docs/api.md. `dropped` of what this gives counts what the block was too slow for: the newest
-        256 wait.
+        256 wait. `timeout_s`: the longest wait for one message; None: without a bound.
 
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
+            NothingArrived: in the iteration, which may go on: no message arrived within `timeout_s`.
         """
         options = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
-        return self._topics.subscribe(topic, type_name_of(type_name), options, lambda message: message)
+        return self._topics.subscribe(topic, type_name_of(type_name), options, lambda message: message, timeout_s)
 
     def subscribe_raw(
-        self, topic: str, *, type_name: TypeName = ""
+        self, topic: str, *, type_name: TypeName = "", timeout_s: float | None = None
     ) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
         """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
 
@@ -205,7 +212,7 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe(topic, type_name_of(type_name), RAW, read_raw)
+        return self._topics.subscribe(topic, type_name_of(type_name), RAW, read_raw, timeout_s)
 
     async def watch_graph(self) -> Graphs:
         """The topics, services and robots of all who are not of this connection's group: now, and after every change.
@@ -235,13 +242,15 @@ class Host:
         """Call a service; returns its response. Fields of the request that are missing are zero.
 
         Raises:
-            HostlinkError: no such service, it failed, it did not answer within `timeout_s`, or the connection was lost
-                meanwhile: then it is unknown whether the service ran, and it is not called again.
+            Refused: no such service, it failed, or it did not answer within `timeout_s`: its `kind` is UnknownTopic,
+                ServiceFailed, DeviceBusy, DeviceGone, BadRequest ...
+            HostlinkError: the connection was lost meanwhile: then it is unknown whether the service ran, and it is not
+                called again.
         """
         request = {"op": "call_service", "service": service, "args": arguments or {}, "timeout": timeout_s}
         answer = await self._connection.request(request, timeout_s=timeout_s + CLOSE_TIMEOUT_S)
         if not answer["result"]:
-            raise HostlinkError(str(answer["values"]))
+            raise Refused(str(answer.get("kind", Refused.kind)), str(answer["values"]))  # an older daemon sends no kind
         return answer["values"]
 
     # -- the connection -----------------------------------------------------------------------------------------------
