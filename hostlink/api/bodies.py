@@ -11,7 +11,7 @@ import msgspec
 
 from hostlink.errors import BadRequest, nearest_field
 
-Body = TypeVar("Body", bound=msgspec.Struct | dict[str, Any])
+Body = TypeVar("Body")
 
 # A velocity may be sent as it was read: by the names that a robot's state and the answers have.
 _AS_READ = {"linear_m_s": "linear", "linear_y_m_s": "linear_y", "angular_rad_s": "angular"}

@@ -32,11 +32,17 @@ class Host:
     """A running hostlink. Get one from `connect`."""
 
     def __init__(
-        self, http: HttpClient, *, reconnect: bool, group: str = "", idle_timeout_s: float = IDLE_TIMEOUT_S
+        self,
+        http: HttpClient,
+        *,
+        reconnect: bool,
+        group: str = "",
+        idle_timeout_s: float = IDLE_TIMEOUT_S,
+        name: str = "",
     ) -> None:
         self.url = http.url
         self._http = http
-        self._connection = HostConnection(http, reconnects=reconnect, group=group)
+        self._connection = HostConnection(http, reconnects=reconnect, group=group, name=name)
         self._connection.on_lost.append(self._lose)
         self._topics = Topics(self._connection)
         self._services = ProvidedServices(self._connection)
@@ -385,6 +391,7 @@ def connect(
     reconnect: bool = True,
     group: str = "",
     idle_timeout_s: float = IDLE_TIMEOUT_S,
+    name: str = "",
 ) -> "Connecting":
     """A connection to hostlink for the length of the block. Leaving it stops every robot that it drives.
 
@@ -393,13 +400,13 @@ def connect(
     and advertisements too, velocities never; without it, every wait for a message raises. `group`: of a bridge
     to another graph, as ROS 2: it receives nothing that a connection of the same group has published. `idle_timeout_s`:
     a robot that the program drives stops when the thread (with asyncio the task) that drives it makes no call of the
-    connection for so long; `math.inf`: never.
+    connection for so long; `math.inf`: never. `name`: of this program, for those who ask who drives.
 
     Raises:
         HostlinkError: when the block begins: there is no hostlink at `url`, or it refuses. At its end: a message that
             was published in it was refused.
     """
-    connected = _connected(url, token, ssl, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s)
+    connected = _connected(url, token, ssl, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s, name=name)
     return Connecting(url, connected)
 
 
@@ -447,12 +454,13 @@ async def _connected(
     reconnect: bool,
     group: str,
     idle_timeout_s: float,
+    name: str,
 ) -> AsyncIterator[Host]:
     if not idle_timeout_s > 0.0:
         raise BadRequest(f"idle_timeout_s is {idle_timeout_s:g}; pass a positive number of seconds, or math.inf")
     http = HttpClient(url, token, context)
     try:
-        host = Host(http, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s)
+        host = Host(http, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s, name=name)
         async with host.running():
             yield host
     finally:
