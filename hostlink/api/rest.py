@@ -50,7 +50,7 @@ MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving
 
 def _caller(request: web.Request) -> str:
     """Return the name of the participant that a request has, or would have if it drove."""
-    return f"rest {caller_name(request)}"
+    return f"program ({caller_name(request)})"
 
 
 class Owners:
@@ -77,7 +77,7 @@ class Owners:
         """Return the participant of this name; create it if there is none."""
         owner = self._owners.pop(name, None)
         if owner is None or owner.has_left:
-            owner = self._hub.join(f"rest {name}", role=role)
+            owner = self._hub.join(f"program ({name})", role=role)
         self._owners[name] = owner
         if len(self._owners) > MAX_OWNERS:
             self._owners.popitem(last=False)[1].leave()

@@ -95,7 +95,7 @@ def test_stop_sends_zero_and_reports_standstill() -> None:
         assert speeds(api)[-1] == (0.0, 0.0, 0.0)
         status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
         assert (status, body["error"]["kind"]) == (409, "disarmed")
-        assert "a stop by rest phone" in body["error"]["reason"]
+        assert "a stop by program (phone)" in body["error"]["reason"]
 
     check(test)
 
@@ -130,7 +130,7 @@ def test_lock_holds_with_its_reason_until_unlock() -> None:
         status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
         assert (status, body["error"]["kind"]) == (409, "locked")
         assert "a hand in the wheel" in body["error"]["reason"]
-        assert api.hub.robots.find("robot_0").admission.locked_by == "rest phone"
+        assert api.hub.robots.find("robot_0").admission.locked_by == "program (phone)"
         assert (await api.call("POST", "/api/robots/robot_0/unlock"))[0] == 200
         status, _ = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, who="another")
         assert status == 200
