@@ -223,3 +223,11 @@ class Refused(HostlinkError):
     def __init__(self, kind: str, reason: str) -> None:
         super().__init__(reason)
         self.kind, self.reason = kind, reason
+
+
+class NothingArrived(HostlinkError):
+    """A reader of the client has waited for a message in vain."""
+
+    def __init__(self, topic: str, timeout_s: float) -> None:
+        super().__init__(f"{topic}: no message arrived for {timeout_s:g} s; `hostlink topics` shows who publishes it")
+        self.topic, self.timeout_s = topic, timeout_s

@@ -11,7 +11,12 @@ import msgspec
 
 from hostlink.errors import BadRequest, nearest_field
 
-Body = TypeVar("Body", bound=msgspec.Struct)
+Body = TypeVar("Body")
+
+# A velocity may be sent as it was read: by the names that a robot's state and the answers have.
+_AS_READ = {"linear_m_s": "linear", "linear_y_m_s": "linear_y", "angular_rad_s": "angular"}
+_NUMBERS = frozenset(_AS_READ.values())
+_SIDEWAYS = "linear_y"  # no hint names it: a misspelled field must not drive a robot sideways
 
 
 def decode_body(data: bytes, type_: type[Body], shape: str) -> Body:
@@ -38,6 +43,24 @@ def convert_fields(fields: Mapping[str, Any], type_: type[Body], operation: str)
         raise BadRequest(f"{operation}: {error}{_hint(str(error), type_)}") from error
 
 
+def convert_velocity(fields: Mapping[str, Any], type_: type[Body], operation: str) -> Body:
+    """Convert the fields of an operation that has a velocity; one of its numbers is enough.
+
+    Raises:
+        BadRequest: as `convert_fields`; or none of the numbers is there, or one by both of its names.
+    """
+    if not _AS_READ.keys().isdisjoint(fields):
+        named = {_AS_READ.get(name, name): value for name, value in fields.items()}
+        if len(named) < len(fields):
+            twice = next(f"{long} and {short}" for long, short in _AS_READ.items() if {long, short} <= fields.keys())
+            raise BadRequest(f"{operation}: {twice} are one number: send one of them")
+        fields = named
+    found = convert_fields(fields, type_, operation)
+    if _NUMBERS.isdisjoint(fields):
+        raise BadRequest(f"{operation}: linear (m/s) or angular (rad/s) is missing")
+    return found
+
+
 def whole_number(text: str, max_digits: int) -> int | None:
     """Convert a number of a path or of a query; None for another text, or more digits."""
     return int(text) if text.isascii() and text.isdigit() and len(text) <= max_digits else None
@@ -48,6 +71,7 @@ def size_bytes_of(text: str) -> int:
     return len(text.encode("utf-8", "surrogatepass"))
 
 
-def _hint(problem: str, type_: type[msgspec.Struct]) -> str:
+def _hint(problem: str, type_: type[Any]) -> str:
     found = re.search("unknown field `(.*?)`", problem)
-    return "" if found is None else nearest_field(found[1], type_.__struct_encode_fields__)
+    known = getattr(type_, "__struct_encode_fields__", ())
+    return "" if found is None else nearest_field(found[1], (name for name in known if name != _SIDEWAYS))

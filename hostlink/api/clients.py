@@ -6,11 +6,13 @@ from collections import Counter, deque
 from collections.abc import Callable, Coroutine, Hashable
 from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, NoReturn, Protocol, TypedDict, TypeVar
+from urllib.parse import urlsplit
 
 import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT
+from hostlink.api.program_names import browser_of, client_name
 from hostlink.api.routes import readable
 from hostlink.errors import BadPayload
 from hostlink.hub.byte_budget import ByteBudget
@@ -260,7 +262,8 @@ class Client:
     def __init__(self, number: int, kind: str, request: web.Request, backlog: Backlog | None) -> None:
         self.grant = grant = request[GRANT]
         self.kind = kind
-        self.name = f"client {number}" + (f" ({grant.who})" if grant.who else "")
+        user_agent, asked = request.headers.get("User-Agent", ""), request.query.get("name", "")
+        self.name = client_name(number, user_agent, who=grant.who, asked=asked, is_page=_is_own_page(request))
         self.peer = request.remote or ""
         self.program = readable(request.headers.get("User-Agent", ""))[:120]
         self.backlog = backlog
@@ -286,6 +289,13 @@ class Client:
             "lag_s": 0.0 if oldest_s is None else round(now_s - oldest_s, 6),
             "dropped": 0 if self.backlog is None else self.backlog.dropped,
         }
+
+
+def _is_own_page(request: web.Request) -> bool:
+    """Whether a browser has it from this daemon: its origin is the address that it asked."""
+    return urlsplit(request.headers.get("Origin", "")).netloc == request.host and bool(
+        browser_of(request.headers.get("User-Agent", ""))
+    )
 
 
 class Clients:

@@ -5,13 +5,13 @@ import ipaddress
 from collections import OrderedDict
 from collections.abc import Container, Iterable
 from http import HTTPStatus
-from typing import Annotated, TypedDict, TypeVar
+from typing import Annotated, Any, TypedDict, TypeVar
 
 import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT, caller_name
-from hostlink.api.bodies import decode_body, whole_number
+from hostlink.api.bodies import convert_velocity, decode_body, whole_number
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.routes import BODY, CAME, Route, refusal, reply
 from hostlink.api.views import (
@@ -50,7 +50,7 @@ MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving
 
 def _caller(request: web.Request) -> str:
     """Return the name of the participant that a request has, or would have if it drove."""
-    return f"rest {caller_name(request)}"
+    return f"program ({caller_name(request)})"
 
 
 class Owners:
@@ -77,7 +77,7 @@ class Owners:
         """Return the participant of this name; create it if there is none."""
         owner = self._owners.pop(name, None)
         if owner is None or owner.has_left:
-            owner = self._hub.join(f"rest {name}", role=role)
+            owner = self._hub.join(f"program ({name})", role=role)
         self._owners[name] = owner
         if len(self._owners) > MAX_OWNERS:
             self._owners.popitem(last=False)[1].leave()
@@ -240,12 +240,18 @@ NOT_FOUND, CONFLICT, UNAVAILABLE = HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT, HT
 TOO_LARGE, BAD_REQUEST = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, HTTPStatus.BAD_REQUEST
 
 
-class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):
-    """Body of PUT velocity: m/s and rad/s, counter-clockwise positive. linear_y_m_s: to the left."""
+VELOCITY = '{"linear": m/s, "angular": rad/s}'
 
-    linear: float
-    angular: float
-    linear_y_m_s: float = 0.0
+
+class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):
+    """Body of PUT velocity: m/s and rad/s, counter-clockwise positive. linear_y: to the left. One of them is enough.
+
+    The names of the answer are accepted, too: linear_m_s, linear_y_m_s, angular_rad_s.
+    """
+
+    linear: float = 0.0
+    angular: float = 0.0
+    linear_y: float = 0.0
     priority: Annotated[int, msgspec.Meta(ge=0, le=MAX_PRIORITY)] = PROGRAM_PRIORITY
     epoch: int | None = None  # of the robot, from its state or an answer
 
@@ -413,8 +419,9 @@ class Rest:
     async def _velocity(self, request: web.Request) -> web.Response:
         """Drive for the length of a lease; repeat the request to keep driving."""
         robot = self._find_to_drive(request)
-        body = decode_body(request[BODY], VelocityRequest, '{"linear": m/s, "linear_y_m_s": m/s, "angular": rad/s}')
-        velocity = PlanarVelocity(body.linear, body.linear_y_m_s, body.angular)
+        fields = decode_body(request[BODY], dict[str, Any], VELOCITY)
+        body = convert_velocity(fields, VelocityRequest, f"the body must be {VELOCITY}")
+        velocity = PlanarVelocity(body.linear, body.linear_y, body.angular)
         owner = self._owner(request)
         limited = owner.drive(robot, velocity, priority=body.priority, received_s=request[CAME], epoch=body.epoch)
         limited = await owner.driven(robot, limited)

@@ -17,7 +17,7 @@ import cbor2
 import msgspec
 import structlog
 
-from hostlink.api.bodies import convert_fields, size_bytes_of
+from hostlink.api.bodies import convert_velocity, size_bytes_of
 from hostlink.api.clients import (
     NOT_A_VELOCITY,
     ClientQueue,
@@ -63,8 +63,8 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
     """
 
     robot: str
-    linear: float
-    angular: float
+    linear: float = 0.0
+    angular: float = 0.0
     linear_y: float = 0.0
     is_planar: bool = True  # False: other components of the Twist are not zero, and no robot obeys it
     priority: int = PROGRAM_PRIORITY
@@ -110,7 +110,7 @@ class Request:
             BadRequest: a field is unknown, missing or has another type.
         """
         if self._drive is None:
-            self._drive = convert_fields(self.fields, DriveOperation, "drive")
+            self._drive = convert_velocity(self.fields, DriveOperation, "drive")
         return self._drive
 
     def payload(self, type_: MessageType) -> bytes:
@@ -797,15 +797,24 @@ _FOR_READERS = frozenset(
 )
 _LEVELS = ("info", "warning", "error", "none")  # of `set_level`: the client receives `status` of this level and above
 _WARNING, _ERROR = 1, 2
+_NO_STATUS = "AutobahnPython"  # roslibpy 2.1.0 has no handler for a `status`, and logs a traceback for each
 
 
 class RosbridgeClient:
     """One participant and its rosbridge operations."""
 
     def __init__(
-        self, name: str, hub: Hub, queue: ClientQueue, *, spawn: Spawn, role: Role = Role.DRIVE, group: str = ""
+        self,
+        name: str,
+        hub: Hub,
+        queue: ClientQueue,
+        *,
+        spawn: Spawn,
+        role: Role = Role.DRIVE,
+        group: str = "",
+        program: str = "",
     ) -> None:
-        """Join the hub. `spawn` runs a service call; `group`: the mirrored graph."""
+        """Join the hub. `spawn` runs a service call; `group`: the mirrored graph; `program`: its User-Agent."""
         self.participant = hub.join(name, role=role, group=group, on_end=queue.close)
         self._topics = ClientTopics(self.participant)
         services = ClientServices(self.participant, hub.catalog, queue, self._warn)
@@ -817,6 +826,7 @@ class RosbridgeClient:
         self._spawn = spawn
         self.calls = 0  # pending
         self._status_from: int | None = None  # index in _LEVELS; None: not set by the client
+        self._reads_status = not program.startswith(_NO_STATUS)
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._unknown_ops: set[str] = set()
         self._fragments = Fragments(hub.config.api.max_message_bytes, hub.budget["fragments"])
@@ -899,7 +909,7 @@ class RosbridgeClient:
 
     def _call_service(self, request: Request) -> None:
         if self.calls >= MAX_CALLS:
-            self._answer(request, f"more than {MAX_CALLS} calls are pending", is_right=False)
+            self._answer(request, f"more than {MAX_CALLS} calls are pending", is_right=False, kind=BadRequest.kind)
             return
         request.id  # noqa: B018 - raises for an invalid id before the service is called
         self.calls += 1
@@ -914,7 +924,7 @@ class RosbridgeClient:
                 values = await self.participant.call(name, arguments, timeout_s=timeout_s)
             self._answer(request, values, is_right=True)
         except HostlinkError as error:
-            self._answer(request, str(error), is_right=False)
+            self._answer(request, str(error), is_right=False, kind=error.kind)
         finally:
             self.calls -= 1
 
@@ -941,10 +951,13 @@ class RosbridgeClient:
 
     # -- to the client ------------------------------------------------------------------------------------------------
 
-    def _answer(self, request: Request, values: Mapping[str, object] | str, *, is_right: bool) -> None:
+    def _answer(
+        self, request: Request, values: Mapping[str, object] | str, *, is_right: bool, kind: str | None = None
+    ) -> None:
         service = request.fields.get("service")
         name = service if isinstance(service, str) else ""
-        self._put(request, {"op": "service_response", "service": name, "values": values, "result": is_right})
+        answer = {"op": "service_response", "service": name, "values": values, "result": is_right}
+        self._put(request, answer if kind is None else answer | {"kind": kind})
 
     def _put(self, request: Request, answer: dict[str, object]) -> None:
         """Queue an answer with the id of its request."""
@@ -959,7 +972,8 @@ class RosbridgeClient:
         """Send an error as a status, if the client has asked for it.
 
         rosbridge's document has "error" as the default level, but its own clients log an exception for each status.
-        A client that has set no level receives only statuses of refused velocities, at a limited rate.
+        A client that has set no level receives only statuses of refused velocities, at a limited rate, and none if it
+        is known to fail by one.
         """
         log.debug("client.refused", client=self.participant.name, reason=str(error))
         if not (self._is_shown_velocity(request) if self._status_from is None else self._status_from <= _ERROR):
@@ -979,6 +993,8 @@ class RosbridgeClient:
 
     def _is_shown_velocity(self, request: Request | None) -> bool:
         """Whether the error refuses a published velocity, and the rate limit of its topic admits a status."""
+        if not self._reads_status:
+            return False
         name = request.fields.get("topic") if request is not None and request.op == "publish" else None
         topic = self._hub.topics.find_or_none(name) if isinstance(name, str) else None
         if topic is None or not topic.is_gated:

@@ -307,7 +307,9 @@ class ApiServer:
         name, role = client.name, client.grant.role
         if client.kind == "foxglove":
             return FoxgloveClient(name, self._hub, self._directory, queue, spawn=tasks.create_task, role=role)
-        return RosbridgeClient(name, self._hub, queue, spawn=tasks.create_task, role=role, group=group)
+        return RosbridgeClient(
+            name, self._hub, queue, spawn=tasks.create_task, role=role, group=group, program=client.program
+        )
 
     async def _close_sockets(self, _: web.Application) -> None:
         async with asyncio.TaskGroup() as tasks:  # all at once: many stuck clients take no longer than one

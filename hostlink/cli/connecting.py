@@ -3,12 +3,15 @@
 import asyncio
 import contextlib
 import signal
+import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Iterator
+from pathlib import Path
 from typing import Any, TypeVar
 
 from hostlink.cli.names import similar
 from hostlink.cli.output import end_line, show_progress, write_error
+from hostlink.cli.own_name import NAME
 from hostlink.client import Host, connect
 
 Answer = TypeVar("Answer")
@@ -25,8 +28,15 @@ async def connected(url: str, token: str | None) -> AsyncIterator[Host]:
     """
     async with contextlib.AsyncExitStack() as stack:
         with waiting(f"connecting to {url}"):
-            host = await stack.enter_async_context(connect(url, token=token, reconnect=False))
+            host = await stack.enter_async_context(connect(url, token=token, reconnect=False, name=_command()))
         yield host
+
+
+def _command() -> str:
+    """Return the name of the command that runs, which the daemon shows as the name of this program."""
+    if Path(sys.argv[0]).name != NAME:
+        return NAME  # started by another program
+    return next((word for word in sys.argv[1:] if not word.startswith("-")), NAME)
 
 
 def ask(url: str, token: str | None, work: Callable[[Host], Awaitable[Answer]]) -> Answer:

@@ -208,7 +208,7 @@ async def publish_topics(url: str, token: str | None, file: Path, playback: Play
             f"{file} has no topic {' '.join(topics)} that may be published; `hostlink info {file}` lists "
             "its topics, and --drive plays velocities"
         )
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connect(url, token=token, reconnect=False, name="play") as host:
 
         async def put(message: StoredMessage) -> None:
             fields = decoders.decode(message)
@@ -233,7 +233,7 @@ async def drive_robot(
     topic = _first_of(file, lambda channel: is_drive(channel) and channel.robot == names[0])
     if topic is None:
         raise BadRequest(_undriven(file, names[0]))
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connect(url, token=token, reconnect=False, name="play") as host:
         driven = host.robot(robot)
         write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops the robot, and so does `hostlink stop`")
         count = await drive_as_recorded(driven, file, playback, names[0], topic)

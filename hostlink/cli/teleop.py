@@ -230,7 +230,7 @@ async def _teleop(url: str, token: str | None, name: str | None, driving: Drivin
     with key_terminal() as terminal, _Keyboard(terminal, driving) as keyboard:
         while not keyboard.is_done:
             try:
-                async with connect(url, token=token, reconnect=False) as host:
+                async with connect(url, token=token, reconnect=False, name="teleop") as host:
                     await _drive(host, found, keyboard, layout)
             except HostlinkError as lost:
                 keyboard.driving.bar(loop_time_s())  # held keys must not move the robot when the connection returns

@@ -35,7 +35,7 @@ from hostlink.client.views import (
     TopicState,
     Twist,
 )
-from hostlink.errors import CommandRefused, HostlinkError, Refused
+from hostlink.errors import CommandRefused, HostlinkError, NothingArrived, Refused
 from hostlink.robot.standstill import Standstill, StandstillState
 
 __all__ = [
@@ -54,6 +54,7 @@ __all__ = [
     "Motion",
     "MotionKind",
     "MotionOutcome",
+    "NothingArrived",
     "Odometry",
     "Opened",
     "Pose",

@@ -237,6 +237,7 @@ def connect_blocking(
     reconnect: bool = True,
     group: str = "",
     idle_timeout_s: float = IDLE_TIMEOUT_S,
+    name: str = "",
 ) -> BlockingHost:
     """A connection to hostlink for programs without asyncio: `with connect_blocking() as host:`.
 
@@ -247,5 +248,7 @@ def connect_blocking(
     Raises:
         HostlinkError: there is no hostlink at `url`, or it refuses.
     """
-    connecting = connect(url, token=token, ssl=ssl, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s)
+    connecting = connect(
+        url, token=token, ssl=ssl, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s, name=name
+    )
     return BlockingHost(LoopThread(connecting))

@@ -42,7 +42,7 @@ class HostConnection:
     | lost      | `send`, `request`                   | lost      | HostlinkError                                    |
     """
 
-    def __init__(self, http: HttpClient, *, reconnects: bool, group: str = "") -> None:
+    def __init__(self, http: HttpClient, *, reconnects: bool, group: str = "", name: str = "") -> None:
         self.is_connected = False
         self.handlers: defaultdict[str, list[Callable[[Message], None]]] = defaultdict(
             list
@@ -53,7 +53,7 @@ class HostConnection:
         self._kept: dict[str, dict[object, Mapping[str, Any]]] = {}
         self.callers = http.callers
         self._http = http
-        self._reconnects, self._group = reconnects, group
+        self._reconnects, self._group, self._name = reconnects, group, name
         self._socket: aiohttp.ClientWebSocketResponse | None = None
         self._reason = "not open yet"
         self._numbers = itertools.count(1)
@@ -66,7 +66,7 @@ class HostConnection:
         Raises:
             HostlinkError: that cannot be done.
         """
-        self._socket = await self._http.open_socket(self._group)
+        self._socket = await self._http.open_socket(self._group, self._name)
         self.is_connected = True
         await self.send({"op": "set_level", "level": "error"})  # so that refusals are reported
         for key in list(self._kept):

@@ -22,7 +22,7 @@ from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import RAW, Graphs, GraphWatch, RawSubscription, Subscription, Topics, read_raw
 from hostlink.client.type_names import TypeName, type_name_of
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
-from hostlink.errors import BadRequest, HostlinkError
+from hostlink.errors import BadRequest, HostlinkError, Refused
 from hostlink.robot.standstill import Standstill
 
 # -- host -------------------------------------------------------------------------------------------------------------
@@ -32,11 +32,17 @@ class Host:
     """A running hostlink. Get one from `connect`."""
 
     def __init__(
-        self, http: HttpClient, *, reconnect: bool, group: str = "", idle_timeout_s: float = IDLE_TIMEOUT_S
+        self,
+        http: HttpClient,
+        *,
+        reconnect: bool,
+        group: str = "",
+        idle_timeout_s: float = IDLE_TIMEOUT_S,
+        name: str = "",
     ) -> None:
         self.url = http.url
         self._http = http
-        self._connection = HostConnection(http, reconnects=reconnect, group=group)
+        self._connection = HostConnection(http, reconnects=reconnect, group=group, name=name)
         self._connection.on_lost.append(self._lose)
         self._topics = Topics(self._connection)
         self._services = ProvidedServices(self._connection)
@@ -180,22 +186,29 @@ class Host:
         return self._topics.advertise(topic, type_name_of(type_name), is_latched=is_latched)
 
     def subscribe(
-        self, topic: str, *, type_name: TypeName = "", throttle_rate_ms: int = 0, queue_length: int = 0
+        self,
+        topic: str,
+        *,
+        type_name: TypeName = "",
+        throttle_rate_ms: int = 0,
+        queue_length: int = 0,
+        timeout_s: float | None = None,
     ) -> contextlib.AbstractAsyncContextManager[Subscription]:
         """The messages of a topic, from now on, for the length of the block, across losses of the connection too.
 
         With `throttle_rate_ms` at most one message in so many milliseconds; the newest `queue_length` wait. Messages
         are dicts as in docs/api.md. `dropped` of what this gives counts what the block was too slow for: the newest
-        256 wait.
+        256 wait. `timeout_s`: the longest wait for one message; None: without a bound.
 
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
+            NothingArrived: in the iteration, which may go on: no message arrived within `timeout_s`.
         """
         options = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
-        return self._topics.subscribe(topic, type_name_of(type_name), options, lambda message: message)
+        return self._topics.subscribe(topic, type_name_of(type_name), options, lambda message: message, timeout_s)
 
     def subscribe_raw(
-        self, topic: str, *, type_name: TypeName = ""
+        self, topic: str, *, type_name: TypeName = "", timeout_s: float | None = None
     ) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
         """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
 
@@ -205,7 +218,7 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe(topic, type_name_of(type_name), RAW, read_raw)
+        return self._topics.subscribe(topic, type_name_of(type_name), RAW, read_raw, timeout_s)
 
     async def watch_graph(self) -> Graphs:
         """The topics, services and robots of all who are not of this connection's group: now, and after every change.
@@ -235,13 +248,15 @@ class Host:
         """Call a service; returns its response. Fields of the request that are missing are zero.
 
         Raises:
-            HostlinkError: no such service, it failed, it did not answer within `timeout_s`, or the connection was lost
-                meanwhile: then it is unknown whether the service ran, and it is not called again.
+            Refused: no such service, it failed, or it did not answer within `timeout_s`: its `kind` is UnknownTopic,
+                ServiceFailed, DeviceBusy, DeviceGone, BadRequest ...
+            HostlinkError: the connection was lost meanwhile: then it is unknown whether the service ran, and it is not
+                called again.
         """
         request = {"op": "call_service", "service": service, "args": arguments or {}, "timeout": timeout_s}
         answer = await self._connection.request(request, timeout_s=timeout_s + CLOSE_TIMEOUT_S)
         if not answer["result"]:
-            raise HostlinkError(str(answer["values"]))
+            raise Refused(str(answer.get("kind", Refused.kind)), str(answer["values"]))  # an older daemon sends no kind
         return answer["values"]
 
     # -- the connection -----------------------------------------------------------------------------------------------
@@ -376,6 +391,7 @@ def connect(
     reconnect: bool = True,
     group: str = "",
     idle_timeout_s: float = IDLE_TIMEOUT_S,
+    name: str = "",
 ) -> "Connecting":
     """A connection to hostlink for the length of the block. Leaving it stops every robot that it drives.
 
@@ -384,13 +400,13 @@ def connect(
     and advertisements too, velocities never; without it, every wait for a message raises. `group`: of a bridge
     to another graph, as ROS 2: it receives nothing that a connection of the same group has published. `idle_timeout_s`:
     a robot that the program drives stops when the thread (with asyncio the task) that drives it makes no call of the
-    connection for so long; `math.inf`: never.
+    connection for so long; `math.inf`: never. `name`: of this program, for those who ask who drives.
 
     Raises:
         HostlinkError: when the block begins: there is no hostlink at `url`, or it refuses. At its end: a message that
             was published in it was refused.
     """
-    connected = _connected(url, token, ssl, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s)
+    connected = _connected(url, token, ssl, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s, name=name)
     return Connecting(url, connected)
 
 
@@ -438,12 +454,13 @@ async def _connected(
     reconnect: bool,
     group: str,
     idle_timeout_s: float,
+    name: str,
 ) -> AsyncIterator[Host]:
     if not idle_timeout_s > 0.0:
         raise BadRequest(f"idle_timeout_s is {idle_timeout_s:g}; pass a positive number of seconds, or math.inf")
     http = HttpClient(url, token, context)
     try:
-        host = Host(http, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s)
+        host = Host(http, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s, name=name)
         async with host.running():
             yield host
     finally:

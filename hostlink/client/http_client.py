@@ -117,8 +117,8 @@ class HttpClient:
         for response in list(self._streams):
             response.close()
 
-    async def open_socket(self, group: str = "") -> aiohttp.ClientWebSocketResponse:
-        """A new WebSocket; its pings and pongs are the caller's. `group`: as of `connect`.
+    async def open_socket(self, group: str = "", name: str = "") -> aiohttp.ClientWebSocketResponse:
+        """A new WebSocket; its pings and pongs are the caller's. `group` and `name`: as of `connect`.
 
         Raises:
             HostlinkError: it is refused, or not answered.
@@ -127,7 +127,7 @@ class HttpClient:
         try:
             return await self._session.ws_connect(
                 f"{self.url}/",
-                params={"group": group} if group else None,
+                params={key: value for key, value in (("group", group), ("name", name)) if value},
                 autoping=False,
                 timeout=timeout,
                 max_msg_size=0,

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from hostlink.errors import HostlinkError
+from hostlink.errors import HostlinkError, NothingArrived
 
 MAX_ITEMS = 256
 
@@ -14,10 +14,15 @@ Item = TypeVar("Item")
 class Mailbox(Generic[Item]):
     """Iterate over it with `async for`; `dropped` counts what the reader was too slow for."""
 
-    def __init__(self, name: str = "", on_read: Callable[[], None] = lambda: None) -> None:
-        """`name`: of the content, for people. `on_read` is called when the reader asks, and when it gets an item."""
+    def __init__(
+        self, name: str = "", on_read: Callable[[], None] = lambda: None, *, timeout_s: float | None = None
+    ) -> None:
+        """`name`: of the content, for people. `on_read` is called when the reader asks, and when it gets an item.
+
+        `timeout_s`: the longest wait for an item; None: without a bound.
+        """
         self.name = name
-        self._on_read = on_read
+        self._on_read, self._timeout_s = on_read, timeout_s
         self.dropped = 0
         self._queue: asyncio.Queue[Item | HostlinkError] = asyncio.Queue(MAX_ITEMS)
 
@@ -51,7 +56,13 @@ class Mailbox(Generic[Item]):
 
     async def __anext__(self) -> Item:
         self._on_read()
-        item = await self._queue.get()
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                item = await self._queue.get()
+        except TimeoutError:
+            if self._timeout_s is None:
+                raise
+            raise NothingArrived(self.name, self._timeout_s) from None
         self._on_read()
         if isinstance(item, HostlinkError):
             raise item

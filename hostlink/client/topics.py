@@ -84,7 +84,12 @@ class Topics:
 
     @contextlib.asynccontextmanager
     async def subscribe(
-        self, topic: str, type_name: str, options: Mapping[str, Any], read: Callable[[dict[str, Any]], Item]
+        self,
+        topic: str,
+        type_name: str,
+        options: Mapping[str, Any],
+        read: Callable[[dict[str, Any]], Item],
+        timeout_s: float | None = None,
     ) -> AsyncIterator[Mailbox[Item]]:
         """The messages of a topic as `read` returns them, from now on, for the length of the block.
 
@@ -94,7 +99,7 @@ class Topics:
         key = f"subscribe:{next(self._numbers)}"
         request = {"op": "subscribe", "id": key, "topic": topic, **options, **_typed(type_name)}
         async with self._connection.keeping(key, request, {"op": "unsubscribe", "id": key, "topic": topic}):
-            mailbox: Mailbox[Item] = Mailbox(topic, self._connection.callers.note)
+            mailbox: Mailbox[Item] = Mailbox(topic, self._connection.callers.note, timeout_s=timeout_s)
             self._subscribed[key] = _Subscribed(topic, read, mailbox)
             try:
                 yield mailbox

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 LET_GO = "let go"  # reason of a stop: the last velocity was zero
 LEASE_ENDED = "no command came"  # reason of a stop: the last velocity is too old
-OWNER_LEFT = "owner left"  # reason of a stop: the source disconnected
+OWNER_LEFT = "the driver left"  # reason of a stop: the source disconnected
 WAS_STOPPED = "stopped"  # reason of a stop: a stop was requested
 OVERRULED = "overruled"  # reason of a stop: a source of higher priority drives another topic of the robot
 NOT_TAKEN = "a command does not fit its device"  # reason of a stop

@@ -55,8 +55,8 @@ def square(side_m: float, way: int) -> tuple[Leg, ...]:
 class CourseFollower:
     """Decides the velocity at each pose. The corners are at the places of the course, independent of earlier errors.
 
-    A leg ends at the pose that is nearest to its end, with the way that the robot goes on for after the zero. That way
-    is learned at each end. If the robot settles away from the end, it drives the rest, forwards or back.
+    A leg ends at the pose that is nearest to its end, counting the way that the robot still moves after the zero. Each
+    end teaches that way. If the robot settles away from the end, it drives the rest, forwards or back.
 
     A robot whose odometry does not advance as commanded is stopped: it may be driving all the same.
     """
@@ -109,7 +109,7 @@ class CourseFollower:
         return velocity or (0.0, 0.0)
 
     def _settle(self, leg: Leg, pose: Pose) -> None:
-        """Learn how far the robot has gone on after the zero. Begin the next leg, unless a rest of this one is left."""
+        """Learn how far the robot has moved after the zero. Begin the next leg, unless a rest of this one is left."""
         left = self._left(leg, pose)
         left_before, speed = self._ended_at
         self._lag_s = min(max((left_before - left * math.copysign(1.0, speed)) / abs(speed), 0.0), LONGEST_LAG_S)

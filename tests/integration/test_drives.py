@@ -64,7 +64,7 @@ async def test_the_command_lists_them_or_says_that_there_are_none(tmp_path: Path
         _, out, _ = await run("drives", "robot_0", "--url", host.url)
         head, row = out.splitlines()
         assert head.split("  ")[0] == "from UTC"
-        assert "rest 127.0.0.1" in row
+        assert "program (127.0.0.1)" in row
         assert " 0.20 " in row
         assert (await run("drives", "other", "--url", host.url))[1] == "there are no drives of other yet\n"
         none = "there are no drives of robto_0 yet; similar names: robot_0\n"

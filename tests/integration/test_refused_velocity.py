@@ -194,3 +194,20 @@ async def test_a_robot_that_accepts_its_velocity_again_is_reachable() -> None:
             await expect(lambda: robot.refusals.cause is None)
             await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
             assert await better.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("program", "answers"),
+    [("AutobahnPython/26.10.2", ["service_response"]), ("", ["status", "service_response"])],
+    ids=["roslibpy", "another program"],
+)
+async def test_status_that_no_client_asked_for_is_not_sent_to_roslibpy(program: str, answers: list[str]) -> None:
+    """roslibpy 2.1.0 logs a traceback for each. Others, such as ros-mcp, learn of the refusal by it."""
+    async with (
+        small_robot() as host,
+        host.session.ws_connect(host.url, headers={"User-Agent": program}) as socket,
+    ):
+        peer = Client(socket)
+        await peer.send(op="publish", topic="/robot_0/velocity_commands", msg=TWIST)
+        await peer.send(op="call_service", service="/rosapi/get_time", args={})
+        assert [(await peer.receive())["op"] for _ in answers] == answers

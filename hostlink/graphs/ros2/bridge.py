@@ -66,7 +66,7 @@ async def _bridge(config: BridgeConfig, node: "Ros2Node", report: Report) -> Non
 
 
 def _connect(config: BridgeConfig) -> contextlib.AbstractAsyncContextManager[Host]:
-    return connect(config.url, token=config.token, group=GROUP)
+    return connect(config.url, token=config.token, group=GROUP, name="ROS 2 bridge")
 
 
 async def _connected(stack: contextlib.AsyncExitStack, config: BridgeConfig, report: Report) -> Host:

@@ -60,8 +60,8 @@ async def test_a_robot_of_another_daemon_is_driven_over_rest() -> None:
         assert (status, answer["velocity"]["linear_m_s"], answer["is_limited"]) == (200, 0.3, False)
         assert await device.velocity_other_than(STILL) == (0.3, 0.0)
         holder = (await robot(b, "robot_7"))["holder"]
-        assert holder == "rest 127.0.0.1 at a"
-        await expect(lambda: a.hub.robots.remote["robot_7"].known.holder == "rest 127.0.0.1")
+        assert holder == "program (127.0.0.1) at a"
+        await expect(lambda: a.hub.robots.remote["robot_7"].known.holder == "program (127.0.0.1)")
 
 
 async def test_the_other_daemons_limits_apply() -> None:

@@ -335,7 +335,7 @@ async def test_a_certificate_that_may_only_read_reads_and_stops_and_does_not_dri
         status, answer = await drive(c, "robot_7", 0.3)
         assert (status, answer["error"]["kind"]) == (503, "DeviceGone")
         assert "host-a does not answer" in answer["error"]["reason"]
-        assert (await robot(c, "robot_7"))["holder"] != "rest 127.0.0.1 at host-c"
+        assert (await robot(c, "robot_7"))["holder"] != "program (127.0.0.1) at host-c"
         assert (await c.rest("POST", "/api/robots/robot_7/lock"))[0] == 200
         assert a.hub.robots.find_here("robot_7").gate.lock_reason is not None
         assert (await c.rest("POST", "/api/robots/robot_7/unlock"))[0] == 503

@@ -1,12 +1,13 @@
 """The REST API without a socket: views of a robot, commands, and the status and kind of each error."""
 
 import asyncio
+import json
 import struct
 from collections.abc import Awaitable, Callable
 
 import pytest
 
-from hostlink.api.bodies import convert_fields, decode_body
+from hostlink.api.bodies import convert_velocity
 from hostlink.api.rest import MAX_OWNERS, Owners, VelocityRequest
 from hostlink.api.rosbridge import DriveOperation
 from hostlink.config import Config
@@ -94,7 +95,7 @@ def test_stop_sends_zero_and_reports_standstill() -> None:
         assert speeds(api)[-1] == (0.0, 0.0, 0.0)
         status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
         assert (status, body["error"]["kind"]) == (409, "disarmed")
-        assert "a stop by rest phone" in body["error"]["reason"]
+        assert "a stop by program (phone)" in body["error"]["reason"]
 
     check(test)
 
@@ -129,7 +130,7 @@ def test_lock_holds_with_its_reason_until_unlock() -> None:
         status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
         assert (status, body["error"]["kind"]) == (409, "locked")
         assert "a hand in the wheel" in body["error"]["reason"]
-        assert api.hub.robots.find("robot_0").admission.locked_by == "rest phone"
+        assert api.hub.robots.find("robot_0").admission.locked_by == "program (phone)"
         assert (await api.call("POST", "/api/robots/robot_0/unlock"))[0] == 200
         status, _ = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, who="another")
         assert status == 200
@@ -171,7 +172,7 @@ def test_reset_of_odometry_is_published_to_the_device() -> None:
         ("GET", "/api/robots/robot_0/odometry", b"", 503, "DeviceGone"),
         ("PUT", "/api/robots/nobody/velocity", b'{"linear": 0, "angular": 0}', 404, "UnknownTopic"),
         ("PUT", VELOCITY, b"", 400, "BadRequest"),
-        ("PUT", VELOCITY, b'{"linear": 0.1}', 400, "BadRequest"),
+        ("PUT", VELOCITY, b'{"priority": 1}', 400, "BadRequest"),
         ("PUT", VELOCITY, b'{"linear": 0.1, "angular": 0, "lateral": 1}', 400, "BadRequest"),
         ("PUT", VELOCITY, b'{"linear": "fast", "angular": 0}', 400, "BadRequest"),
         ("PUT", VELOCITY, b'{"linear": NaN, "angular": 0}', 400, "BadRequest"),
@@ -268,27 +269,60 @@ async def test_owner_is_the_same_until_its_token_is_revoked() -> None:
         (b'{"linear": 0.2, "angular": 0.5, "priorty": 7}', "unknown field `priorty`; did you mean `priority`?"),
         (
             b'{"linear": 0.2, "angular": 0.5, "colour": 7}',
-            "unknown field `colour`; its fields: linear, angular, linear_y_m_s, priority, epoch",
+            "unknown field `colour`; its fields: linear, angular, priority, epoch",
         ),
     ],
 )
 def test_unknown_field_of_a_body_is_refused_with_the_nearest_name(body: bytes, problem: str) -> None:
     with pytest.raises(BadRequest) as caught:
-        decode_body(body, VelocityRequest, "a velocity")
+        convert_velocity(json.loads(body), VelocityRequest, "the body must be a velocity")
     assert str(caught.value).endswith(problem)
+
+
+@pytest.mark.parametrize(
+    ("fields", "velocity"),
+    [
+        ({"linear": 0.1}, (0.1, 0.0, 0.0)),
+        ({"angular": 0.5}, (0.0, 0.0, 0.5)),
+        ({"linear_m_s": 0.1, "linear_y_m_s": 0.2, "angular_rad_s": 0.5}, (0.1, 0.2, 0.5)),
+        ({"linear": 0.1, "linear_y": 0.2, "angular_rad_s": 0.5}, (0.1, 0.2, 0.5)),
+    ],
+)
+@pytest.mark.parametrize("type_", [VelocityRequest, DriveOperation])
+def test_velocity_is_accepted_by_its_names_and_by_those_of_an_answer(
+    type_: type[VelocityRequest | DriveOperation], fields: dict[str, float], velocity: tuple[float, float, float]
+) -> None:
+    robot = {"robot": "robot_0"} if type_ is DriveOperation else {}
+    found = convert_velocity({**robot, **fields}, type_, "drive")
+    assert (found.linear, found.linear_y, found.angular) == velocity
 
 
 @pytest.mark.parametrize(
     ("fields", "problem"),
     [
-        ({"lineary": 1.0}, "drive: Object contains unknown field `lineary`; did you mean `linear_y`?"),
+        ({}, "drive: linear (m/s) or angular (rad/s) is missing"),
+        ({"linear": 0.1, "linear_m_s": 0.2}, "drive: linear_m_s and linear are one number: send one of them"),
+        ({"linear": 0.1, "linear_x": 0.2}, "drive: Object contains unknown field `linear_x`; did you mean `linear`?"),
+        ({"linear_m": 0.1}, "drive: Object contains unknown field `linear_m`; did you mean `linear`?"),
+    ],
+)
+def test_velocity_without_a_number_or_with_one_twice_is_refused(fields: dict[str, float], problem: str) -> None:
+    with pytest.raises(BadRequest) as caught:
+        convert_velocity(fields, VelocityRequest, "drive")
+    assert str(caught.value) == problem
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"lineary": 1.0}, "drive: Object contains unknown field `lineary`; did you mean `linear`?"),
         ({"angular": "fast"}, "drive: Expected `float`, got `str` - at `$.angular`"),
         ({"robot": 7}, "drive: Expected `str`, got `int` - at `$.robot`"),
     ],
 )
 def test_unknown_field_of_a_drive_is_refused_as_one_of_a_body(fields: dict[str, object], problem: str) -> None:
     drive = {"op": "drive", "id": 1, "robot": "robot_0", "linear": 0.1, "angular": 0.0}
-    assert convert_fields(drive, DriveOperation, "drive").linear == 0.1
+    assert convert_velocity(drive, DriveOperation, "drive").linear == 0.1
     with pytest.raises(BadRequest) as caught:
-        convert_fields(drive | fields, DriveOperation, "drive")
+        convert_velocity(drive | fields, DriveOperation, "drive")
     assert str(caught.value) == problem

@@ -227,7 +227,7 @@ async def test_drive_is_answered_with_link_epoch_and_client(api: ApiMemory) -> N
 @pytest.mark.parametrize(
     ("fields", "reason"),
     [
-        ({"angular": 0}, "linear"),
+        ({}, "linear (m/s) or angular (rad/s) is missing"),
         ({"linear": "fast", "angular": 0}, "linear"),
         ({"linear": 0, "angular": 0, "priority": -1}, f"priority must be a number from 0 to {MAX_PRIORITY}"),
         ({"linear": 0, "angular": 0, "priority": MAX_PRIORITY + 1}, "priority must be a number from 0"),

@@ -9,7 +9,13 @@ from hostlink.cli.record import HEADS, NEWEST, progress, row, time_text, write_n
 
 
 def drive(**changes: Any) -> dict[str, Any]:
-    known = {"robot": "robot_0", "owner": "client 12", "address": "10.0.0.105", "seconds": 72.94, "end": "owner left"}
+    known = {
+        "robot": "robot_0",
+        "owner": "client 12",
+        "address": "10.0.0.105",
+        "seconds": 72.94,
+        "end": "the driver left",
+    }
     return {"began": "2026-11-22T08:40:57.123+00:00", "fastest_m_s": 0.3436, "fastest_rad_s": 1.5, **known, **changes}
 
 

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from hostlink.errors import HostlinkError
+from hostlink.errors import HostlinkError, NothingArrived, Refused
 from tests.support.fake_device import service_server
 from tests.support.memory_client import memory_host
 from tests.support.participants import scene
@@ -52,3 +52,34 @@ async def test_topic_of_two_blocks_is_advertised_until_both_have_ended() -> None
             assert made.hub.topics.find("/lamp").publishers
             await blocks.pop().__aexit__(None, None, None)
             assert made.hub.topics.find_or_none("/lamp") is None
+
+
+@virtual
+async def test_error_of_a_call_has_the_kind_of_the_daemon() -> None:
+    async with scene() as made, memory_host(made.hub, made.tasks) as me, memory_host(made.hub, made.tasks) as other:
+
+        def fail(_: object) -> None:
+            raise HostlinkError("the lamp is broken")
+
+        kinds = []
+        async with other.serve("/lamp", "std_srvs/SetBool", fail):
+            for name, request in (("/lamp", {"data": True}), ("/lamp", {"date": True}), ("/none", {})):
+                with pytest.raises(Refused) as caught:
+                    await me.call(name, request, timeout_s=2.0)
+                kinds.append(caught.value.kind)
+        assert kinds == ["ServiceFailed", "BadRequest", "UnknownTopic"]
+
+
+@virtual
+async def test_reader_of_a_silent_topic_is_told_after_its_timeout_and_may_go_on() -> None:
+    async with (
+        scene() as made,
+        memory_host(made.hub, made.tasks) as me,
+        me.subscribe("/lamp", type_name="std_msgs/Bool", timeout_s=2.0) as lamps,
+    ):
+        began_s = asyncio.get_running_loop().time()
+        with pytest.raises(NothingArrived, match=r"^/lamp: no message arrived for 2 s; `hostlink topics` shows"):
+            await anext(lamps)
+        assert asyncio.get_running_loop().time() - began_s == pytest.approx(2.0)
+        await me.publish("/lamp", {"data": True})
+        assert await anext(lamps) == {"data": True}

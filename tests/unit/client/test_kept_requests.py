@@ -40,7 +40,7 @@ class Http:
     def __init__(self) -> None:
         self.socket = Socket()
 
-    async def open_socket(self, _: str) -> Socket:
+    async def open_socket(self, _group: str, _name: str) -> Socket:
         return self.socket
 
 

@@ -207,7 +207,7 @@ def test_source_that_leaves_stops_its_robot_and_no_other() -> None:
         made.hub.gates.release("ann")
         await asyncio.sleep(0.05)
         assert [velocities(device)[-1] for device in devices] == [(0.0, 0.0), (0.1, 0.0)]
-        assert made.logged("robot.stopped")[-1]["reason"] == "owner left"
+        assert made.logged("robot.stopped")[-1]["reason"] == "the driver left"
 
     in_hub(test)
 

@@ -54,7 +54,7 @@ async def test_each_end_of_a_drive_is_told(made: Scene) -> None:
     pilot.drive(robot, PlanarVelocity(0.2))
     pilot.leave()
     ends = [(event.facts["reason"], event.facts["owner"]) for event in events if event.kind is EventKind.STOPPED]
-    assert ends == [("no command came", "pilot"), ("owner left", "pilot")]
+    assert ends == [("no command came", "pilot"), ("the driver left", "pilot")]
 
 
 @inside(play)

@@ -35,7 +35,7 @@ def test_expired_lease_of_a_driven_robot_is_an_incident() -> None:
 
 
 def test_leaving_driver_is_not_an_incident() -> None:
-    assert causes(commanded(FAST), stopped("owner left"), stopped("no command came")) == []
+    assert causes(commanded(FAST), stopped("the driver left"), stopped("no command came")) == []
 
 
 def test_robot_that_a_silent_program_drove_is_an_incident() -> None:
