@@ -147,7 +147,9 @@ def show_recording(file: Path, *, as_json: bool) -> None:
 
 
 def _mended(file: Path) -> str:
-    return f"; hostlink record --repair {file} repairs it" if file.suffix == ".mcap" else ""
+    return (
+        f"; hostlink record --repair {file} repairs it" if file.name.endswith((".mcap", ".bag", ".bag.active")) else ""
+    )
 
 
 def _row(topic: TopicContents) -> list[str]:

@@ -210,11 +210,12 @@ def _repair(file: Path, *, as_json: bool) -> None:
     seconds, messages = time.monotonic() - began_s, quantity(found.messages, "message")
     if as_json:
         facts = {"file": str(file), "messages": found.messages, "damage": found.damage, "seconds": round(seconds, 3)}
+        facts |= {} if found.output is None else {"output": str(found.output)}
         facts["original"] = None if found.original is None else str(found.original)
         write(msgspec.json.encode(facts).decode())
     elif found.damage:
         kept = "" if found.original is None else f". The damaged file is kept: {found.original}"
-        write(f"{file}: {messages}; the file is repaired. It had: {'; '.join(found.damage)}{kept}")
+        write(f"{found.output or file}: {messages}; the file is repaired. It had: {'; '.join(found.damage)}{kept}")
     else:
         write(f"{file}: {messages}; the file is not damaged, and was not changed")
 
