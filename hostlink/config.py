@@ -16,6 +16,7 @@ from typing import Any, Literal
 import msgspec
 
 from hostlink.errors import ConfigError
+from hostlink.text_file import decoded, read_bytes
 
 MAX_PORT = 0xFFFF
 MAX_FILE_BYTES = 64 * 1024 * 1024  # 20,000 robots need two; a device file such as /dev/zero is endless
@@ -327,11 +328,10 @@ def load(path: Path) -> Config:
         ConfigError: the file cannot be read or a setting is wrong; it names file, key and the nearest known key.
     """
     try:
-        with path.open("rb") as file:
-            text = file.read(MAX_FILE_BYTES + 1)
-        if len(text) > MAX_FILE_BYTES:
+        data = read_bytes(path, MAX_FILE_BYTES)
+        if len(data) > MAX_FILE_BYTES:
             raise ConfigError(str(path), f"has more than {MAX_FILE_BYTES} bytes")
-        raw = msgspec.toml.decode(text)
+        raw = msgspec.toml.decode(decoded(data))
     except OSError as error:
         raise ConfigError(str(path), error.strerror or str(error)) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

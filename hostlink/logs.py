@@ -74,7 +74,7 @@ def configure(*, level: str = "info", stream: TextIO | None = None, sentences: S
             _round_figures,
             structlog.processors.add_log_level,
             _pass_on,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            structlog.processors.TimeStamper(fmt="%Y-%m-%d %H:%M:%S%z" if is_terminal else "iso", utc=not is_terminal),
             structlog.processors.StackInfoRenderer(),
             _make_printable if is_terminal else structlog.processors.format_exc_info,
             renderer,

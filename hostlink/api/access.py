@@ -23,6 +23,7 @@ from hostlink.config import ApiConfig, TokenConfig, is_address
 from hostlink.errors import ConfigError
 from hostlink.hub.node import Role
 from hostlink.logs import printable
+from hostlink.text_file import read_text
 
 log = structlog.get_logger()
 
@@ -172,7 +173,7 @@ def _secret(token: TokenConfig) -> bytes:
     secret = token.token
     if token.token_file is not None:
         try:
-            secret = token.token_file.read_text(encoding="utf-8").strip()
+            secret = read_text(token.token_file).strip()
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(where, f"token_file: {error}") from error
     if not secret or len(secret) < SHORTEST_TOKEN:

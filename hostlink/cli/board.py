@@ -22,6 +22,7 @@ from hostlink.config import SerialConfig
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, size
 from hostlink.messages.catalog import Catalog, check_not_empty
 from hostlink.plain_text import plain
+from hostlink.text_file import read_text
 from hostlink.transport.serial import open_serial
 
 # -- arduino library --------------------------------------------------------------------------------------------------
@@ -247,7 +248,7 @@ def _answer(setting: Setting, before: str) -> str:
 def _secret(name: str, file: Path) -> str:
     option = f"--{name.replace('_', '-')}-file"
     try:
-        secret = file.read_text(encoding="utf-8-sig").strip("\r\n")  # some editors begin a file with a byte order mark
+        secret = read_text(file).strip("\r\n")
     except OSError as error:
         raise ConfigError(option, f"{file} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -1,6 +1,5 @@
 """The commands for recordings on this computer: `export`, `plot`, and the content that `info` shows."""
 
-import time
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -9,9 +8,9 @@ import msgspec
 import typer
 
 from hostlink.cli.files import check_absent, check_picture, writing
+from hostlink.cli.local_time import wall_text
 from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
 from hostlink.errors import ConfigError, size
-from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import need_rosbags, why_unknown
 from hostlink.recording.reader import Contents, TopicContents, contents_of
 
@@ -134,10 +133,9 @@ def show_recording(file: Path, *, as_json: bool) -> None:
     if as_json:
         write(msgspec.json.encode(_view(found)).decode())
         return
-    begin = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(found.begin_ns // NS_PER_S))
     messages = quantity(found.messages, "message")
     write(
-        f"{file}: {size(found.size_bytes)}, {messages}, {found.seconds:.1f} s from {begin}",
+        f"{file}: {size(found.size_bytes)}, {messages}, {found.seconds:.1f} s from {wall_text(found.begin_ns)}",
         *(f"  {name}: {value}" for name, value in found.metadata.items() if value),
         *(f"  the clock was set by {step.step_s:+.1f} s after {step.at_s:.1f} s" for step in found.clock_steps),
         *(f"  damage: {damage}{_mended(file)}" for damage in found.damage),
@@ -149,7 +147,9 @@ def show_recording(file: Path, *, as_json: bool) -> None:
 
 
 def _mended(file: Path) -> str:
-    return f"; hostlink record --repair {file} repairs it" if file.suffix == ".mcap" else ""
+    return (
+        f"; hostlink record --repair {file} repairs it" if file.name.endswith((".mcap", ".bag", ".bag.active")) else ""
+    )
 
 
 def _row(topic: TopicContents) -> list[str]:

@@ -13,6 +13,7 @@ from hostlink.cli.names import unknown
 from hostlink.cli.output import quantity, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError
+from hostlink.text_file import read_text
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -139,7 +140,7 @@ def _read(file: Path) -> dict[str, Any]:
         ConfigError: the file cannot be read, or has no parameters.
     """
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_text(file)
         values = tomllib.loads(text).get("parameters") if file.suffix == ".toml" else json_text.loads(text)
     except OSError as error:
         raise ConfigError("FILE", f"{file} cannot be read: {error.strerror}") from error

@@ -7,7 +7,7 @@ import signal
 import time
 import urllib.parse
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +17,7 @@ import typer
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import ask, connected
 from hostlink.cli.files import check_output, fetch
+from hostlink.cli.local_time import now, offset, time_text
 from hostlink.cli.names import named, similar
 from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
@@ -183,14 +184,15 @@ def _list(view: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         write(msgspec.json.encode(view).decode())
         return
+    here = now()
     rows = [
-        [file["file"], size(file["bytes"]), file["modified"], "now" if file["is_open"] else ""]
+        [file["file"], size(file["bytes"]), time_text(file["modified"], here), "now" if file["is_open"] else ""]
         for file in view["files"]
     ]
     write(f"{quantity(len(view['files']), 'file')} in {view['folder']}")
     if rows:
         write("")
-    write_table(["file", "size", "written", "recording"], rows, whole=["file"])
+    write_table(["file", "size", f"written {offset(here)}", "recording"], rows, whole=["file"])
 
 
 def progress(view: dict[str, Any]) -> str:
@@ -208,11 +210,12 @@ def _repair(file: Path, *, as_json: bool) -> None:
     seconds, messages = time.monotonic() - began_s, quantity(found.messages, "message")
     if as_json:
         facts = {"file": str(file), "messages": found.messages, "damage": found.damage, "seconds": round(seconds, 3)}
+        facts |= {} if found.output is None else {"output": str(found.output)}
         facts["original"] = None if found.original is None else str(found.original)
         write(msgspec.json.encode(facts).decode())
     elif found.damage:
         kept = "" if found.original is None else f". The damaged file is kept: {found.original}"
-        write(f"{file}: {messages}; the file is repaired. It had: {'; '.join(found.damage)}{kept}")
+        write(f"{found.output or file}: {messages}; the file is repaired. It had: {'; '.join(found.damage)}{kept}")
     else:
         write(f"{file}: {messages}; the file is not damaged, and was not changed")
 
@@ -239,7 +242,7 @@ def write_newest(
 
 # -- drives -----------------------------------------------------------------------------------------------------------
 
-HEADS = ["from UTC", "s", "robot", "who", "top m/s", "rad/s", "why it ended"]
+HEADS = ["s", "robot", "who", "top m/s", "rad/s", "why it ended"]
 
 
 def drives(
@@ -255,8 +258,9 @@ def drives(
     if json:
         write(json_text.dumps({**view, "drives": view["drives"][:count]}))
     else:
-        today = datetime.now(UTC).date().isoformat()
-        write_newest(HEADS, [row(each, today) for each in view["drives"]], count, whole=HEADS[-1:])
+        here = now()
+        rows = [row(each, here) for each in view["drives"]]
+        write_newest([offset(here), *HEADS], rows, count, whole=HEADS[-1:])
         if not view["drives"]:
             names = similar(robot, known) if robot is not None and robot not in known else ""
             write(f"there are no drives of {robot or 'any robot'} yet; {names}".rstrip("; "))
@@ -269,17 +273,12 @@ async def _drives(host: Host, robot: str | None) -> tuple[dict[str, Any], list[s
     return view, [] if view["drives"] else [state["name"] for state in await host.robots()]
 
 
-def row(drive: dict[str, Any], today: str) -> list[str]:
-    """Return the cells of a drive under HEADS. The date is left out if it is `today`, for example 2026-11-22."""
-    began = time_text(drive["began"], today)
+def row(drive: dict[str, Any], here: datetime) -> list[str]:
+    """Return the cells of a drive: its begin, under the offset of the time `here`, and those under HEADS."""
+    began = time_text(drive["began"], here)
     who = named(drive["owner"], drive.get("address", ""))
     speeds = [f"{drive['fastest_m_s']:.2f}", f"{drive['fastest_rad_s']:.2f}"]
     return [began, f"{drive['seconds']:.1f}", drive["robot"], who, *speeds, drive["end"] or "drives now"]
-
-
-def time_text(stamp: str, today: str) -> str:
-    """Return a time of the daemon, which is UTC, in seconds; the date is left out if it is `today`."""
-    return stamp.rstrip("Z").replace("T", " ").partition(".")[0].removeprefix(f"{today} ")
 
 
 # -- incidents --------------------------------------------------------------------------------------------------------
@@ -325,14 +324,20 @@ def incidents(
     else:
         view = ask(url, token, lambda host: host.get(_INCIDENTS_PATH))
         view["incidents"] = view["incidents"][: count if as_json else None]
+    here = now()
     if as_json:
         write(msgspec.json.encode(view).decode())
     elif save is None:
-        today = datetime.now(UTC).date().isoformat()
         rows = [
-            [time_text(each["at"], today), each["robot"], each["cause"], each["file"] or "being saved", each["detail"]]
+            [
+                time_text(each["at"], here),
+                each["robot"],
+                each["cause"],
+                each["file"] or "being saved",
+                each["detail"],
+            ]
             for each in view["incidents"]
         ]
-        write_newest(["when UTC", "robot", "cause", "file", "detail"], rows, count, whole=["file", "detail"])
+        write_newest([offset(here), "robot", "cause", "file", "detail"], rows, count, whole=["file", "detail"])
         if not rows:
             write("there are no incidents")

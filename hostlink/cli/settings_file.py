@@ -12,6 +12,7 @@ from typing import Any
 
 from hostlink.config import load
 from hostlink.errors import ConfigError
+from hostlink.text_file import read_text
 
 Tables = Mapping[str, Mapping[str, str]]  # header -> key -> value, each as TOML writes it
 _HEADER = re.compile(r"^\s*\[\s*(?P<name>[^\[\]]+?)\s*\]\s*(#.*)?$")
@@ -68,7 +69,7 @@ def _refused(path: Path) -> Iterator[None]:
 
 def _text_with(file: Path, tables: Tables) -> str:
     """Return the file's text with these settings and its own line endings."""
-    before = file.read_bytes().decode()
+    before = read_text(file)
     newline = "\r\n" if "\r\n" in before else "\n"
     plain = before.replace(newline, "\n")
     after = changed(plain, tables)

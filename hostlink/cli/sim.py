@@ -13,6 +13,7 @@ from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
 from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.robot import FAULTS, HEALTHY
 from hostlink.sim.run import run_fleet
+from hostlink.text_file import read_text
 
 Kind = Annotated[
     RobotKind, typer.Option(help="nimble: reaches a new speed in 0.3 s; paper: the paper's robot, in two seconds.")
@@ -61,7 +62,7 @@ def read_world(file: Path) -> WorldParameters:
         ConfigError: the file cannot be read, or does not describe a world.
     """
     try:
-        return read(file.read_text(encoding="utf-8"))
+        return read(read_text(file))
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigError("--world", f"{file}: {reason}") from None

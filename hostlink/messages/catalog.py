@@ -12,6 +12,7 @@ from hostlink.errors import ConfigError, WrongType
 from hostlink.messages.fields import BUILT_IN, Field
 from hostlink.messages.message_type import SEPARATOR, MessageType, ServiceType
 from hostlink.messages.parsing import Definition, parse_message, parse_service
+from hostlink.text_file import read_text
 
 # -- folders ----------------------------------------------------------------------------------------------------------
 
@@ -69,7 +70,7 @@ def read_definition(path: Path) -> str:
         ConfigError: the file cannot be read or is not UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return read_text(path)
     except OSError as error:
         raise ConfigError(str(path), error.strerror or "cannot be read") from None
     except UnicodeDecodeError as error:

@@ -4,6 +4,7 @@ import contextlib
 import os
 import re
 import shutil
+import time
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,11 @@ def default_folder() -> Path:
     of_service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     return (Path(of_service) if of_service else state / "hostlink") / "recordings"
+
+
+def file_stamp(stamp_ns: int) -> str:
+    """Return a wall time for the name of a file, in UTC: `2026-11-22T07-40-57Z`."""
+    return time.strftime("%Y-%m-%dT%H-%M-%SZ", time.gmtime(stamp_ns // 1_000_000_000))
 
 
 def is_name(name: str) -> bool:

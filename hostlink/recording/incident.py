@@ -2,7 +2,6 @@
 
 import itertools
 import re
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, Literal, cast
 from hostlink.errors import RecordingFailed
 from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, ORDERLY, EventKind, RobotEvent
 from hostlink.recording.channel import NS_PER_S, Channel
-from hostlink.recording.folder import Folder, StoredFile
+from hostlink.recording.folder import Folder, StoredFile, file_stamp
 from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import Entry
 from hostlink.robot.velocity import ZERO
@@ -189,7 +188,7 @@ def write_incident(
     from hostlink.recording.mcap_writer import McapWriter  # noqa: PLC0415 - most daemons never save one
 
     folder.make_room(())
-    stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime(incident.stamp_ns // 1_000_000_000))
+    stamp = file_stamp(incident.stamp_ns)
     name = re.sub(r"[^A-Za-z0-9_+-]", "-", f"{stamp}_{incident.robot}_{incident.cause}")[:90]
     number = 0
     while folder.file(name, number).exists():

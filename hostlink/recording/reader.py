@@ -686,14 +686,36 @@ class BagReader:
         from rosbags.rosbag1 import Reader as Ros1Reader  # noqa: PLC0415 - of the extra `export`
         from rosbags.rosbag2 import Reader as Ros2Reader  # noqa: PLC0415
 
+        is_ros1 = self.path.name.endswith((ROS1_SUFFIX, UNFINISHED_SUFFIX))
         try:
-            bag: Any = (Ros1Reader if self.path.suffix == ROS1_SUFFIX else Ros2Reader)(self.path)
+            bag: Any = (Ros1Reader if is_ros1 else Ros2Reader)(self.path)
             bag.open()
         except OSError as error:
             raise RecordingFailed(f"{self.path}: {error.strerror or error}") from error
         except Exception as error:
-            raise RecordingFailed(f"{self.path} cannot be read: {error}"[:MAX_REASON]) from error
+            if not is_ros1:
+                raise RecordingFailed(f"{self.path} cannot be read: {error}"[:MAX_REASON]) from error
+            bag = self._unfinished(error)
         return contextlib.closing(bag)
+
+    def _unfinished(self, why: Exception) -> Any:
+        """Open a bag of ROS 1 without an index, which rosbags does not read.
+
+        Raises:
+            RecordingFailed: it has no readable message.
+        """
+        from hostlink.recording.unfinished_bag import UnfinishedBag  # noqa: PLC0415 - as above
+
+        bag = UnfinishedBag(self.path)
+        try:
+            bag.open()
+        except (OSError, ValueError, KeyError, struct.error):
+            bag.message_count = 0
+        if not bag.message_count:
+            raise RecordingFailed(f"{self.path} cannot be read: {why}"[:MAX_REASON]) from why
+        if NOT_FINISHED not in self.damage:
+            self.damage.append(NOT_FINISHED)
+        return bag
 
 
 RecordingSource = McapReader | BagReader

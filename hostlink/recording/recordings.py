@@ -20,7 +20,7 @@ from hostlink.hub.hub import Hub
 from hostlink.listening import spelled
 from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drives import DriveLog
-from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder
+from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder, file_stamp
 from hostlink.recording.mcap_format import MAGIC
 from hostlink.recording.mcap_writer import MAX_CHANNELS, FileThread
 from hostlink.recording.owner import FolderOwner, FolderTaken
@@ -327,7 +327,7 @@ class Recordings:
 
     def _new_name(self, selection: TopicSelection) -> str:
         """Build a name from the time and the robots. Called in a thread, because it waits for the disk."""
-        stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime())
+        stamp = file_stamp(time.time_ns())
         base = re.sub(r"[^A-Za-z0-9_+-]", "-", "_".join((stamp, *selection.robots)))[:90]
         names = itertools.chain((base,), (f"{base}.{number}" for number in itertools.count(2)))
         return next(name for name in names if not self._is_taken(name))

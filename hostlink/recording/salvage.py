@@ -23,12 +23,13 @@ import msgspec
 from hostlink import remains
 from hostlink.errors import BadPayload, RecordingFailed
 from hostlink.recording.channel import EVENTS, JSON, ROS1, Channel
+from hostlink.recording.definitions import need_rosbags
 from hostlink.recording.drives import LastCommand, finish_drives
 from hostlink.recording.folder import Folder
 from hostlink.recording.history import decode_event
 from hostlink.recording.incident import Incident, OutOfTime, write_incident
 from hostlink.recording.mcap_writer import MAX_CHANNELS, PROFILE, McapWriter
-from hostlink.recording.reader import NOT_FINISHED, McapReader
+from hostlink.recording.reader import NOT_FINISHED, ROS1_SUFFIX, UNFINISHED_SUFFIX, BagReader, McapReader
 from hostlink.recording.ring import RING, Entry, read_blocks, read_entries, read_schemas, write_fact
 
 # -- salvage ----------------------------------------------------------------------------------------------------------
@@ -198,6 +199,7 @@ class Repaired:
     messages: int
     damage: tuple[str, ...]
     original: Path | None = None  # the damaged file, which is kept; None for one that only lacked its end
+    output: Path | None = None  # the repaired file, if it has another name
 
 
 def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> Repaired:
@@ -212,6 +214,8 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
             file of another program, or is still being written.
     """
     _check_left(path)
+    if path.name.endswith((ROS1_SUFFIX, UNFINISHED_SUFFIX)):
+        return _repair_bag(path)
     reader = McapReader(path)
     part = Path(f"{path}.repaired")
     original: Path | None = None
@@ -244,6 +248,35 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     except OSError as error:
         raise RecordingFailed(f"{path}: {error.strerror or error}") from error
     return Repaired(writer.messages, tuple(reader.damage), original)
+
+
+def _repair_bag(path: Path) -> Repaired:
+    """Write a bag of ROS 1 with an index: FILE.bag of FILE.bag.active, which is kept, as is another damaged file.
+
+    Raises:
+        RecordingFailed: the file cannot be read or written, has no readable message, or FILE.bag exists.
+    """
+    need_rosbags(str(path))
+    from hostlink.recording.bags import RosFormat, export_ros  # noqa: PLC0415 - of the extra `export`
+
+    source = BagReader(path)
+    source.read_channels()
+    if not source.damage:
+        return Repaired(sum(1 for _ in source.messages()), tuple(source.damage))
+    is_active = path.name.endswith(UNFINISHED_SUFFIX)
+    part = path.with_suffix("") if is_active else path.with_name(f"{path.name}.repaired")
+    try:
+        done = export_ros(source, part, RosFormat.ROS1, skips_unknown=True)
+        left_out = (f"{topic} is left out: {reason}" for topic, reason in done.left_out.items())
+        damage = (*source.damage, *left_out)
+        if is_active:
+            return Repaired(done.messages, damage, path, part)
+        original = path.with_name(f"{path.name}.damaged")
+        path.replace(original)
+        part.replace(path)
+    except OSError as error:
+        raise RecordingFailed(f"{part}: {error.strerror or error}") from error
+    return Repaired(done.messages, damage, original)
 
 
 def _check_left(path: Path) -> None:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hostlink.errors import ConfigError
+from hostlink.text_file import read_bytes
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import ignore
 
@@ -33,7 +34,7 @@ def read_key(file: Path, where: str) -> bytes:
         ConfigError: the file cannot be read, or the key is too short.
     """
     try:
-        key = file.read_bytes().strip()
+        key = read_bytes(file).strip()
     except OSError as error:
         raise ConfigError(where, f"{file}: {error.strerror}") from error
     if len(key) < SHORTEST_KEY_BYTES:

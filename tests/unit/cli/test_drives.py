@@ -1,11 +1,19 @@
 """The table of drives, in the width of a terminal."""
 
+import time
+from collections.abc import Iterator
+from datetime import datetime, timedelta, timezone
 from typing import Any
 
 import pytest
 
+from hostlink.cli.local_time import offset, time_text, wall_text
 from hostlink.cli.output import table
-from hostlink.cli.record import HEADS, NEWEST, progress, row, time_text, write_newest
+from hostlink.cli.record import HEADS, NEWEST, progress, row, write_newest
+from hostlink.recording.folder import file_stamp
+
+NOW = datetime(2026, 11, 22, 12, tzinfo=timezone(timedelta(hours=1)))
+LATER = NOW + timedelta(days=1)
 
 
 def drive(**changes: Any) -> dict[str, Any]:
@@ -19,22 +27,49 @@ def drive(**changes: Any) -> dict[str, Any]:
     return {"began": "2026-11-22T08:40:57.123+00:00", "fastest_m_s": 0.3436, "fastest_rad_s": 1.5, **known, **changes}
 
 
+@pytest.fixture(autouse=True)
+def _berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The computer's clock shows the time of Berlin."""
+    monkeypatch.setenv("TZ", "CET-1CEST,M3.5.0,M10.5.0/3")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
 def test_a_drive_of_today_has_its_time_alone() -> None:
-    assert row(drive(), "2026-11-22")[:4] == ["08:40:57", "72.9", "robot_0", "client 12 (10.0.0.105)"]
-    assert row(drive(), "2026-11-23")[0] == "2026-11-22 08:40:57"
-    assert row(drive(end=""), "2026-11-22")[-1] == "drives now"
-    assert row({**drive(), "address": ""}, "2026-11-22")[3] == "client 12"
+    assert row(drive(), NOW)[:4] == ["09:40:57", "72.9", "robot_0", "client 12 (10.0.0.105)"]
+    assert row(drive(), LATER)[0] == "2026-11-22 09:40:57"
+    assert row(drive(end=""), NOW)[-1] == "drives now"
+    assert row({**drive(), "address": ""}, NOW)[3] == "client 12"
 
 
 def test_the_lines_of_a_lesson_fit_80_columns() -> None:
     drives = [drive(), drive(owner="demo", address="", end=""), drive(end="no command came", seconds=4.0)]
-    lines = table(HEADS, [row(each, "2026-11-22") for each in drives])[1:]
+    lines = table(["UTC+1", *HEADS], [row(each, NOW) for each in drives])[1:]
     assert max(map(len, lines)) <= 80
 
 
 def test_time_of_an_incident_of_today_has_no_date() -> None:
-    assert time_text("2026-11-22T08:40:57Z", "2026-11-22") == "08:40:57"
-    assert time_text("2026-11-21T08:40:57Z", "2026-11-22") == "2026-11-21 08:40:57"
+    assert time_text("2026-11-22T08:40:57Z", NOW) == "09:40:57"
+    assert time_text("2026-11-21T08:40:57Z", NOW) == "2026-11-21 09:40:57"
+    assert time_text("2026-11-21T23:40:57.9+00:00", NOW) == "00:40:57"
+
+
+def test_time_with_another_offset_than_now_has_its_own() -> None:
+    assert time_text("2026-07-21T23:40:57.9+00:00", NOW) == "2026-07-22 01:40:57 UTC+2"
+
+
+@pytest.mark.parametrize(
+    ("minutes", "text"), [(0, "UTC"), (60, "UTC+1"), (-210, "UTC-3:30"), (345, "UTC+5:45"), (-30, "UTC-0:30")]
+)
+def test_offset_is_short(minutes: int, text: str) -> None:
+    assert offset(NOW.astimezone(timezone(timedelta(minutes=minutes)))) == text
+
+
+def test_time_of_a_recording_is_local_with_its_offset_and_the_name_of_its_file_is_utc() -> None:
+    assert wall_text(1_795_336_857_900_000_000) == "2026-11-22 09:40:57 UTC+1"
+    assert file_stamp(1_795_336_857_900_000_000) == "2026-11-22T08-40-57Z"
 
 
 def test_long_list_shows_the_newest_and_how_many_are_older(capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,7 +18,7 @@ from hostlink.errors import ConfigError
         (b"track_m=0.2\ntrack=0.2\n", "line 2: track: no such parameter; meant track_m?"),
         (b"track_m=wide\n", "line 1: 'track_m=wide' is not of the form name=number"),
         (b"left.radius_m=0\n", "line 1: left.radius_m: 0 is not in 1e-06..10"),
-        (b"\xff\xfe", "'utf-8' codec can't decode byte 0xff in position 0: invalid start byte"),
+        (b"\xff\x00", "'utf-8' codec can't decode byte 0xff in position 0: invalid start byte; save it as UTF-8"),
         (None, "No such file or directory"),
     ],
 )

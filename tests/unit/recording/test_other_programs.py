@@ -25,6 +25,7 @@ from hostlink.recording.export import export_csv
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.plot import read_lines, read_paths
 from hostlink.recording.reader import contents_of, open_source
+from hostlink.recording.salvage import repair
 from hostlink.recording.tables import read
 from tests.support.fake_device import message_type
 from tests.support.foreign_recordings import (
@@ -313,3 +314,52 @@ def test_topic_of_the_tools_of_ros_2_does_not_stop_an_export_unless_it_is_named(
     assert (lines, list(done.left_out)) == ({"text.csv": 1}, ["/parameter_events"])
     with pytest.raises(UnknownFormat, match="/parameter_events"):
         export_csv(open_source(path), tmp_path / "other", topics=["/parameter_events"])
+
+
+def unfinished(path: Path, kept_bytes: int | None = None) -> Path:
+    """Return the bag as rosbag leaves it when it is killed: without an index, and the last chunk without its length."""
+    whole = ros1_bag(path.parent).read_bytes()
+    index_at = int.from_bytes(whole[whole.index(b"index_pos=") + 10 :][:8], "little")
+    at = whole.index(b"index_pos=") + 10
+    data = whole[:at] + bytes(8) + whole[at + 8 : index_at]
+    path.write_bytes(data[:kept_bytes])
+    return path
+
+
+@pytest.mark.parametrize("name", ["run.bag.active", "run.bag"])
+def test_bag_that_was_not_closed_is_read_exported_and_repaired(tmp_path: Path, name: str) -> None:
+    path = unfinished(tmp_path / name)
+    found = contents_of(path)
+    assert (found.messages, found.damage, found.begin_ns) == (COUNT, ["the file was not finished"], BEGIN_NS)
+    done, _ = export_csv(open_source(path), tmp_path / "csv")
+    assert done.messages == COUNT
+    repaired = repair(path)
+    assert repaired.messages == COUNT
+    with Ros1Reader(repaired.output or path) as bag:
+        assert [(connection.topic, at_ns) for connection, at_ns, _ in bag.messages()] == [
+            ("/odom", stamp(number)) for number in range(COUNT)
+        ]
+    assert repaired.original is not None
+    assert contents_of(tmp_path / "run.bag").damage == []
+    assert repair(tmp_path / "run.bag").damage == ()
+
+
+@pytest.mark.parametrize("has_length", [True, False])
+def test_bag_whose_last_chunk_is_cut_gives_its_messages(tmp_path: Path, has_length: bool) -> None:
+    path = unfinished(tmp_path / "run.bag.active")
+    data = path.read_bytes()
+    length_at = data.index(b"compression=none") + len(b"compression=none")
+    if data[length_at + 4 :][:5] == b"size=":  # another field of the chunk's header follows
+        length_at += len(b"\x09\0\0\0size=\0\0\0\0")
+    length = data[length_at:][:4] if has_length else bytes(4)
+    path.write_bytes(data[:length_at] + length + data[length_at + 4 : len(data) // 2])
+    found = contents_of(path)
+    assert 100 < found.messages < COUNT
+    assert found.damage == ["the file was not finished"]
+
+
+def test_file_that_is_no_bag_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.bag.active"
+    path.write_bytes(b"#ROSBAG V2.0\n" + b"x" * 100)
+    with pytest.raises(RecordingFailed, match="cannot be read"):
+        contents_of(path)
