@@ -84,7 +84,6 @@ uint32_t Node::spin() {
   for (Task* task = tasks_; task != nullptr; task = task->next_) task->spin(*this);
   is_calling_ = false;
   drain();
-  ended_ms_ = static_cast<uint16_t>(link_.milliseconds());
   return 0;
 }
 
@@ -113,7 +112,7 @@ bool Node::begin_turn() {
   is_spinning_ = true;
   is_retrying_ = false;
   began_ms_ = link_.milliseconds();
-  patience_ms_ = static_cast<uint16_t>(static_cast<uint16_t>(began_ms_) - ended_ms_) / 2;
+  patience_ms_ = static_cast<uint16_t>(began_ms_ - emptied_at_ms_) / 2;
   if (patience_ms_ < kSlowMs) patience_ms_ = 0;
   if (patience_ms_ > kPatienceMs) patience_ms_ = kPatienceMs;
   clock_.advance(began_ms_);

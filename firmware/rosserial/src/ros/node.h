@@ -135,7 +135,6 @@ class Node : private Topics {
   Task* tasks_ = nullptr;
   const bool* awaited_ = nullptr;  // by spin_until
   uint32_t began_ms_ = 0;
-  uint16_t ended_ms_ = 0;       // of the last turn; wraps after a minute
   uint16_t patience_ms_ = 0;    // how long this turn and publish() may still wait for the line: half of the last turn
   uint32_t emptied_at_ms_ = 0;  // all available bytes were read
   uint32_t frame_began_ms_ = 0;
