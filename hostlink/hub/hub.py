@@ -87,7 +87,7 @@ class Hub:
         )  # by group, while participants use them
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
-        self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses)
+        self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses, catalog.least_bytes)
         self.robots = Robots(self)
         self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()
