@@ -79,6 +79,9 @@ class UdpConfig:
         return [_device_address(text) for text in self.devices]
 
 
+_RATE_IN_PATH = re.compile(r"(.+):(\d{3,9})")  # "/dev/ttyUSB0:115200"; a name in by-path ends with ":1.0-port0"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SerialConfig:
     """Serial port of one device."""
@@ -88,12 +91,18 @@ class SerialConfig:
     baud: int | tuple[int, ...] = 57600  # rosserial's default; several rates are tried in turn until frames arrive
     baud_try_s: float = 4.5  # for each rate; the host requests topics every 2 s, so twice at each rate
     on_open: Literal["leave", "reset"] = "leave"  # DTR line of the board: leave it, or reset the board
+    dtr: bool = True  # lines while the port is open; both on hold some boards in reset, for example an ESP32-CAM-MB
+    rts: bool = True
 
     def __post_init__(self) -> None:
         if (self.path is None) == (self.usb_serial is None):
             raise ValueError("a serial port needs either path or usb_serial")
         if self.baud == ():
             raise ValueError("a serial port needs a baud rate")
+        if self.path is not None and (found := _RATE_IN_PATH.fullmatch(self.path)):
+            raise ValueError(f"the baud rate is a setting of its own: path = {found[1]!r}, baud = {found[2]}")
+        if self.on_open == "reset" and not self.dtr:
+            raise ValueError('on_open = "reset" needs dtr = true')
 
     @property
     def name(self) -> str:

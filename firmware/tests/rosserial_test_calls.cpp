@@ -24,6 +24,38 @@ void test_service_server() {
   CHECK(link.sent(0, payload, size) == 104 && size == 4 && payload[0] == 42);
 }
 
+void answer_triple(Number& request, Number& response) { response.data = 3 * request.data; }
+
+struct Multiplier {
+  int32_t factor = 4;
+  void answer(Number& request, Number& response) { response.data = factor * request.data; }
+  void answer_fixed(Number& request, Number& response) const { response.data = factor * request.data; }
+};
+
+void test_service_servers_in_the_spelling_of_ros() {
+  TestLink link;
+  ros::BufferedNode<4, 4, 64, 128> node(link);
+  Multiplier multiplier;
+  const Multiplier fixed;
+  ros::ServiceServer<Number, Number> function("a", &answer_triple);
+  ros::ServiceServer<Number, Number, Multiplier> member("b", &Multiplier::answer, &multiplier);
+  ros::ServiceServer<Number, Number, Multiplier> fixed_member("c", &Multiplier::answer_fixed, &fixed);
+  ros::ServiceServer<Number, Number> lambda(
+      "d", [](Number& request, Number& response) { response.data = 5 * request.data; });
+  CHECK(node.advertiseService(function) && node.advertiseService(member));
+  CHECK(node.advertiseService(fixed_member) && node.advertiseService(lambda));
+  connect(link, node);
+  const uint8_t factors[] = {3, 4, 4, 5};
+  for (uint16_t number = 0; number < 4; ++number) {
+    link.clear();
+    link.put_number(static_cast<uint16_t>(100 + number), 7);
+    node.spinOnce();
+    const uint8_t* payload = nullptr;
+    size_t size = 0;
+    CHECK(link.sent(0, payload, size) == 104 + number && size == 4 && payload[0] == 7 * factors[number]);
+  }
+}
+
 void test_service_client() {
   TestLink link;
   TestNode node(link);
@@ -293,6 +325,7 @@ void test_a_callback_that_spins() {
 
 void run_calls_tests() {
   RUN(test_service_server);
+  RUN(test_service_servers_in_the_spelling_of_ros);
   RUN(test_service_client);
   RUN(test_a_call_that_waits);
   RUN(test_parameters);

@@ -13,6 +13,7 @@ HostAddress = Annotated[
     typer.Option("--connect", help="Address of the host for devices, if it is not on this computer: HOST:PORT."),
 ]
 DEFAULT_HOST = "127.0.0.1:11411"  # of HostAddress
+LOWEST_BAUD = 300
 MAX_DIGITS = 9  # of a port or a baud rate; Python refuses to read a number of thousands
 
 
@@ -53,6 +54,9 @@ def parse_serial(text: str) -> SerialConfig:
     """
     path, at, rates = text.partition("@")
     bauds = rates.split(",") if at else []
+    before, colon, rate = path.rpartition(":")
+    if colon and _is_number(rate) and int(rate) >= LOWEST_BAUD:
+        raise ConfigError("--serial", f"{text!r}: the baud rate follows an @: --serial {before}@{rate}")
     if not path or not all(_is_number(baud) and int(baud) for baud in bauds):
         raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD; an example: /dev/ttyACM0@57600")
     return SerialConfig(path=path, baud=tuple(map(int, bauds))) if at else SerialConfig(path=path)

@@ -44,6 +44,7 @@ class HostClock:
 _CODES = {
     errno.EACCES: "serial_permission",
     errno.EPERM: "serial_permission",
+    errno.ENOTUNIQ: "serial_ambiguous",
     errno.ENOENT: "serial_missing",
     errno.ENODEV: "serial_missing",
     errno.ENXIO: "serial_missing",

@@ -5,6 +5,7 @@ import operator
 import re
 from array import array
 from bisect import bisect_left
+from collections.abc import Callable
 
 from hostlink.diagnosis.evidence import (
     NO_COUNTS,
@@ -18,7 +19,7 @@ from hostlink.diagnosis.evidence import (
 from hostlink.host_pauses import HostPauses
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import OVERHEAD_BYTES
+from hostlink.protocol.frame import OVERHEAD_BYTES, Id
 from hostlink.protocol.negotiation import TIME_PERIOD_S
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import Rejection
@@ -66,6 +67,11 @@ class _Samples:
         return Tally(*map(int, self._rows[row * _COLUMNS + 1 : (row + 1) * _COLUMNS]))
 
 
+def unknown_size(type_name: str) -> int:  # noqa: ARG001 - the signature of `least_bytes`
+    """Return 0: no type is known."""
+    return 0
+
+
 class LinkMonitor:
     """Gatherer of one link's evidence.
 
@@ -74,12 +80,15 @@ class LinkMonitor:
 
     __slots__ = (
         "_complaints", "_device_complaint", "_early_non_rosserial", "_excluded", "_fell_silent", "_intervals_s",
-        "_is_fresh", "_is_provoked", "_negotiated_at_s", "_opened_at_s", "_previous_at_s", "_revived_at_s", "_samples",
+        "_is_fresh", "_is_provoked", "_least_bytes", "_negotiated_at_s", "_opened_at_s", "_previous_at_s",
+        "_revived_at_s", "_samples",
         "_session", "_signal", "_stamps_behind_s", "_time_requested_at_s", "_unknown_before", "_was_host_away", "baud",
         "firmware", "sharing",
     )  # fmt: skip
 
-    def __init__(self, session: Session, *, now_s: float) -> None:
+    def __init__(self, session: Session, *, now_s: float, least_bytes: Callable[[str], int] = unknown_size) -> None:
+        """`least_bytes` returns the size of the smallest message of a type; 0 if the type is unknown."""
+        self._least_bytes = least_bytes
         self.baud: int | None = None  # of a serial port
         self.sharing = UNSHARED  # of a serial port
         self._session = session
@@ -269,7 +278,13 @@ class LinkMonitor:
             for info in self._session.topics
             if _is_too_small(info, fixed_bytes.get(info.key))
         ]
-        return [text for text in (*announced, self._session.too_large, self._device_complaint) if text]
+        unsent = [
+            f"{info.name}: a message of at least {least_bytes} bytes, the device sends at most {info.buffer_bytes}"
+            for info in self._session.topics
+            if info.kind is Id.PUBLISHER and info.topic_id not in fixed_bytes
+            if (least_bytes := self._least_bytes(info.type)) > info.buffer_bytes > 0
+        ]
+        return [text for text in (*announced, *unsent, self._session.too_large, self._device_complaint) if text]
 
 
 def _is_too_small(info: TopicInfo, fixed_bytes: int | None) -> bool:

@@ -106,8 +106,18 @@ class Diagnosis:
 class Diagnoses:
     """Diagnoses of all links. `run` updates each of them once a second; the rest of the hub only passes events."""
 
-    def __init__(self, isolation: Isolation, events: RobotEvents, pauses: Callable[[float], HostPauses]) -> None:
-        """`events` gets each new finding. `pauses` returns when the host itself did not run."""
+    def __init__(
+        self,
+        isolation: Isolation,
+        events: RobotEvents,
+        pauses: Callable[[float], HostPauses],
+        least_bytes: Callable[[str], int],
+    ) -> None:
+        """`events` gets each new finding. `pauses` returns when the host itself did not run.
+
+        `least_bytes` returns the size of the smallest message of a type; 0 if the type is unknown.
+        """
+        self._least_bytes = least_bytes
         self._isolation, self._events, self._pauses = isolation, events, pauses
         words()  # read now: later there may be no descriptor for it
         self.ended: deque[Diagnosis] = deque(maxlen=ENDED_LINKS)
@@ -127,7 +137,7 @@ class Diagnoses:
 
     def begin(self, link: Link) -> Diagnosis:
         """Create the diagnosis of a new link."""
-        diagnosis = Diagnosis(link, LinkMonitor(link.session, now_s=link.opened_at_s))
+        diagnosis = Diagnosis(link, LinkMonitor(link.session, now_s=link.opened_at_s, least_bytes=self._least_bytes))
         self._live[link.number] = diagnosis
         return diagnosis
 

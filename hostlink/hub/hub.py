@@ -87,7 +87,7 @@ class Hub:
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
         self.share = FairShare(self.gates.came_s)  # of the event loop, for links and participants
-        self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses)
+        self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses, catalog.least_bytes)
         self.robots = Robots(self)
         self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()

@@ -236,6 +236,11 @@ class Catalog:
         """Return the type named "pkg/Type" or "pkg/msg/Type"; None if unknown."""
         return self._types.find(short_name(name))
 
+    def least_bytes(self, name: str) -> int:
+        """Return the size of the smallest message of a type; 0 if the type is unknown."""
+        found = self.message(name)
+        return 0 if found is None else found.least_bytes
+
     def service(self, name: str) -> ServiceType | None:
         """Return the service type named "pkg/Type" or "pkg/srv/Type"; None if unknown."""
         name = short_name(name)

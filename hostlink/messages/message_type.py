@@ -32,6 +32,11 @@ class MessageType:
     def fields(self) -> tuple[Field, ...]:
         return self.layout.fields
 
+    @cached_property
+    def least_bytes(self) -> int:
+        """Size of the smallest message."""
+        return self.layout.minimum_bytes
+
     @property
     def fixed_bytes(self) -> int | None:
         """Serialised size if every value has the same size, else None."""

@@ -5,11 +5,13 @@ import contextlib
 import errno
 import fcntl
 import glob
+import grp
 import os
+import stat
 import termios
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import serial
 import serial_asyncio
@@ -18,11 +20,12 @@ from serial.tools import list_ports
 from hostlink.config import SerialConfig
 from hostlink.transport.base import READ_BYTES
 from hostlink.transport.connection import StreamTransport
-from hostlink.transport.port_users import users_of
+from hostlink.transport.port_users import is_running, users_of
 
 # -- ports ------------------------------------------------------------------------------------------------------------
 
 BY_ID = Path("/dev/serial/by-id")
+BY_PATH = Path("/dev/serial/by-path")
 
 
 def find_port(config: SerialConfig) -> str:
@@ -32,28 +35,62 @@ def find_port(config: SerialConfig) -> str:
         OSError: no port or more than one port matches; the text lists them.
     """
     if config.usb_serial is not None:
-        found = {port.device: port.serial_number for port in list_ports.comports() if port.serial_number}
-        return choose_by_serial(config.usb_serial, found)
+        return choose_by_serial(config.usb_serial, _usb_ports())
     pattern = config.path or ""
     paths = sorted(glob.glob(pattern)) if glob.has_magic(pattern) else [pattern]  # noqa: PTH207 - an absolute pattern
     if len(paths) > 1:
         raise OSError(errno.EINVAL, f"{pattern}: matches {len(paths)} ports: {_listed(paths)}; name one of them")
     if not paths or not Path(paths[0]).exists():
         known = sorted(str(path) for path in BY_ID.glob("*"))
-        raise OSError(errno.ENOENT, f"{pattern}: no such port; available: {_listed(known)}")
+        taken = "; brltty runs here and takes USB adapters: sudo apt remove brltty" if is_running("brltty") else ""
+        raise OSError(errno.ENOENT, f"{pattern}: no such port; available: {_listed(known)}{taken}")
+    _check_alias(paths[0])
     return paths[0]
 
 
-def choose_by_serial(wanted: str, found: dict[str, str]) -> str:
-    """Return the path of the USB device with this serial number. `found`: path -> serial number.
+class UsbPort(NamedTuple):
+    """Serial port of a USB device. `place`: the socket that the device is in, such as "1-1.2"."""
 
-    Of a device with two ports, the first is returned.
+    path: str
+    number: str  # serial number of the device
+    place: str
+
+
+def _usb_ports() -> list[UsbPort]:
+    ports = ((port.device, port.serial_number, port.location or "") for port in list_ports.comports())
+    return [UsbPort(path, number, place.partition(":")[0]) for path, number, place in ports if number]
+
+
+def choose_by_serial(wanted: str, found: Iterable[UsbPort], by_path: Path = BY_PATH) -> str:
+    """Return the path of the USB device with this serial number. Of a device with two ports, the first is returned.
+
+    Raises:
+        OSError: no device has it, or more than one; then a restart would exchange their robots.
     """
-    paths = sorted(path for path, number in found.items() if number == wanted)
-    if not paths:
-        known = _listed(sorted(f"{number} ({path})" for path, number in found.items()))
-        raise OSError(errno.ENOENT, f"{wanted}: no USB device with this serial number; available: {known}")
-    return paths[0]
+    known = sorted(found, key=lambda port: (port.number, port.path))
+    ports = [port for port in known if port.number == wanted]
+    if not ports:
+        seen = _listed(f"{port.number} ({port.path})" for port in known)
+        raise OSError(errno.ENOENT, f"{wanted}: no USB device with this serial number; available: {seen}")
+    if len({port.place for port in ports}) > 1:
+        names = {os.path.realpath(link): str(link) for link in sorted(by_path.glob("*"))}
+        places = _listed(f"{port.path} = {names.get(port.path, f'USB {port.place}')}" for port in ports)
+        raise OSError(
+            errno.ENOTUNIQ,
+            f"{wanted}: {len(ports)} ports have this serial number; name the USB socket instead, by its path in "
+            f"{by_path}: {places}",
+        )
+    return ports[0].path
+
+
+def _check_alias(path: str) -> None:
+    """Refuse a name that was made from a serial number, as in by-id, if several devices have this number."""
+    if not Path(path).is_symlink():
+        return
+    target, ports = os.path.realpath(path), _usb_ports()
+    for port in ports:
+        if port.path == target and port.number in Path(path).name:
+            choose_by_serial(port.number, ports)
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -68,7 +105,6 @@ TTY_BYTES = 4095  # most that Linux returns in one read of a port; the rest wait
 LEAVE_CHECK_S = 0.01  # 10 ms correspond to 58 bytes at 57600 baud
 _BUSY = (errno.EBUSY, errno.EAGAIN)
 _ADVICE = {
-    errno.EACCES: "no permission: add this user to the group dialout, then log in again",
     errno.EBUSY: "another program has it open",
     errno.EAGAIN: "another program has it open",
     errno.ENOTTY: "not a serial port",
@@ -109,7 +145,9 @@ async def _streams(port: "_Port", path: str, address: str) -> "SerialTransport":
 def _open(config: SerialConfig) -> tuple["_Port", str]:
     path = find_port(config)
     try:
-        port = serial.Serial(path, baudrate=config.bauds[0], exclusive=True)
+        port = serial.Serial(baudrate=config.bauds[0], exclusive=True)
+        port.port, port.dtr, port.rts = path, config.dtr, config.rts  # set before opening: a level may reset the board
+        port.open()
         _keep_dtr(port.fileno())
     except (OSError, termios.error) as error:  # pyserial does not convert termios.error
         number = _error_number(error)
@@ -173,6 +211,11 @@ class SerialTransport(StreamTransport):
             raise self._port.write_error
 
     @property
+    def lines(self) -> tuple[bool, bool]:
+        """Levels of DTR and RTS."""
+        return self._port.lines()
+
+    @property
     def lost_reads(self) -> int:
         """Number of reads for which another program was faster."""
         return self._port.lost_reads
@@ -225,6 +268,10 @@ class _Port:
 
     def set_dtr(self, *, is_on: bool) -> None:
         self._port.dtr = is_on
+
+    def lines(self) -> tuple[bool, bool]:
+        """Return the levels of DTR and RTS as they were set."""
+        return bool(self._port.dtr), bool(self._port.rts)
 
     def waiting_bytes(self) -> int:
         """Number of bytes that the kernel has not sent to the device yet."""
@@ -294,6 +341,19 @@ def _error_number(error: Exception) -> int | None:
 def _explain(path: str, number: int | None, error: Exception) -> str:
     if number is None:
         return str(error)
+    if number == errno.EACCES:
+        return explain_permission(Path(path).stat())
     text = _ADVICE.get(number, os.strerror(number))
     users = ", ".join(users_of(path).names) if number in _BUSY else ""
     return f"{text}: {users}" if users else text
+
+
+def explain_permission(found: os.stat_result) -> str:
+    """Name the group of the port, which differs between systems: dialout, uucp, plugdev, tty."""
+    try:
+        group = grp.getgrgid(found.st_gid).gr_name
+    except KeyError:
+        group = str(found.st_gid)
+    if group == "root" or not found.st_mode & stat.S_IRGRP or not found.st_mode & stat.S_IWGRP:
+        return f"no permission, and none for its group {group}: install the udev rule (hostlink serve --example udev)"
+    return f"no permission: sudo usermod -aG {group} $USER, then log in again"

@@ -19,7 +19,7 @@ RAM_BYTES = {
     "service_client": 1110,
     "sonar": 1080,
 }
-PUBSUB_FLASH_BYTES = 11000
+PUBSUB_FLASH_BYTES = 11600  # 230 bytes are for slow loops, 280 for telling of a message that is too large
 
 
 def sizes(name: str) -> tuple[int, int]:
@@ -34,7 +34,7 @@ def test_an_example_fits_into_an_uno(name: str) -> None:
     assert ram <= RAM_BYTES[name]
 
 
-def test_pubsub_leaves_two_thirds_of_the_flash() -> None:
+def test_pubsub_leaves_most_of_the_flash() -> None:
     assert sizes("pubsub")[0] <= PUBSUB_FLASH_BYTES
 
 

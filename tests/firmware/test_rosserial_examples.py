@@ -4,6 +4,7 @@ import asyncio
 import base64
 import contextlib
 import math
+import re
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -13,7 +14,9 @@ import pytest
 
 from hostlink import client
 from hostlink.config import Config, TcpConfig
-from hostlink.protocol.frame import TOPICS_REQUEST
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.frame import OVERHEAD_BYTES, TOPICS_REQUEST
+from tests.firmware.examples import EXAMPLES
 from tests.firmware.sketches import KEY, WITH_KEY, build, running
 from tests.support.client_topics import publish_until, received
 from tests.support.daemon import daemon as in_process
@@ -90,6 +93,38 @@ async def test_servo(daemon: Process) -> None:
             await publish_until(host, "/servo", {"data": angle}, "std_msgs/UInt16", done)
 
 
+@pytest.mark.parametrize(
+    ("name", "messages"),
+    [
+        (
+            "odometry",
+            {
+                "nav_msgs/Odometry": {"header": {"frame_id": "odom"}, "child_frame_id": "base_link"},
+                "tf/tfMessage": {"transforms": [{"header": {"frame_id": "odom"}, "child_frame_id": "base_link"}]},
+            },
+        ),
+        ("imu", {"sensor_msgs/Imu": {"header": {"frame_id": "imu"}}}),
+    ],
+)
+def test_period_of_an_example_leaves_a_fifth_of_its_line_free(name: str, messages: dict[str, dict[str, Any]]) -> None:
+    """The comment of the example promises the rate that follows from its baud rate."""
+    text = (EXAMPLES / name / f"{name}.ino").read_text()
+    claimed, baud = re.findall(r"kBytes = ([\d +]+);", text)[0], int(re.findall(r"kBaud = (\d+);", text)[0])
+    catalog = Catalog()
+    frames = []
+    for type_name, message in messages.items():
+        type_ = catalog.message(type_name)
+        assert type_ is not None
+        frames.append(OVERHEAD_BYTES + len(type_.encode(message)))
+    assert [int(each) for each in claimed.split("+")] == frames
+    assert "kPeriodMs = 1 + kBytes * 10 * 1000 / kBaud * 5 / 4;" in text
+    period_ms = 1 + sum(frames) * 10 * 1000 // baud * 5 // 4
+    assert sum(frames) * 10 * 1000 / period_ms <= 0.81 * baud
+    assert "setBaud(kBaud)" in text
+    words = {11: "eleven times", 28: "28 times"}
+    assert words[round(1000 / period_ms)] in text
+
+
 async def test_odometry_of_two_encoders_and_its_transform(daemon: Process) -> None:
     async with client.connect(daemon.url) as host, running("odometry", daemon.tcp) as board:
         assert (await received(host, "/odom", "nav_msgs/Odometry"))["child_frame_id"] == "base_link"
@@ -124,7 +159,9 @@ async def test_imu_with_diagnostics(daemon: Process) -> None:
         )  # the daemon publishes its own diagnostics there, too
         (status,) = of_board["status"]
         assert (status["hardware_id"], status["message"]) == ("MPU-6050", "OK")
-        assert int(status["values"][0]["value"]) % 50 == 0
+        measurements, dropped = status["values"]
+        assert int(measurements["value"]) % 50 == 0
+        assert dropped == {"key": "dropped", "value": "0"}
 
 
 @pytest.mark.long

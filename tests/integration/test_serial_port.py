@@ -2,7 +2,9 @@
 
 import asyncio
 import contextlib
+import grp
 import os
+import stat
 import subprocess
 import termios
 import tty
@@ -14,11 +16,20 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.config import SerialConfig
+from hostlink.diagnosis.evidence import port_finding
 from hostlink.hub.hub import Hub
 from hostlink.listeners.accepting import serve_serial
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
-from hostlink.transport.serial import DTR_PULSE_S, choose_by_serial, find_port, open_serial, pulse
+from hostlink.transport.serial import (
+    DTR_PULSE_S,
+    UsbPort,
+    choose_by_serial,
+    explain_permission,
+    find_port,
+    open_serial,
+    pulse,
+)
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import robot_topics
 from tests.support.pty_pair import pty_pair
@@ -278,10 +289,44 @@ def test_a_pattern_that_fits_two_ports_is_not_guessed(tmp_path: Path) -> None:
 
 
 def test_a_usb_device_is_known_by_its_serial_number() -> None:
-    found = {"/dev/ttyACM1": "7543", "/dev/ttyACM0": "8000", "/dev/ttyACM2": "7543"}
+    found = [  # a device with two ports
+        UsbPort("/dev/ttyACM2", "7543", "1-1.2"),
+        UsbPort("/dev/ttyACM0", "8000", "1-1.3"),
+        UsbPort("/dev/ttyACM1", "7543", "1-1.2"),
+    ]
     assert choose_by_serial("7543", found) == "/dev/ttyACM1"
     with pytest.raises(OSError, match=r"^\[Errno 2\] 9999: no USB device .*; available: 7543 \(/dev/ttyACM1\), 7543"):
         choose_by_serial("9999", found)
+
+
+def test_two_adapters_with_one_serial_number_are_refused_with_both_paths(tmp_path: Path) -> None:
+    found = [UsbPort("/dev/ttyUSB0", "0001", "1-1.2"), UsbPort("/dev/ttyUSB1", "0001", "1-1.3")]
+    (tmp_path / "usb-0:1.3:1.0-port0").symlink_to("/dev/ttyUSB1")
+    with pytest.raises(OSError, match=r"0001: 2 ports have this serial number; .*by its path in") as raised:
+        choose_by_serial("0001", found, tmp_path)
+    assert f"/dev/ttyUSB0 = USB 1-1.2, /dev/ttyUSB1 = {tmp_path}/usb-0:1.3:1.0-port0" in str(raised.value)
+    assert port_finding(raised.value).code == "serial_ambiguous"
+
+
+@pytest.mark.parametrize(
+    ("mode", "group", "text"),
+    [
+        (0o660, 0, "none for its group root: install the udev rule"),
+        (0o660, 20, f"no permission: sudo usermod -aG {grp.getgrgid(20).gr_name} $USER"),
+        (0o600, 20, "install the udev rule"),
+        (0o660, 54321, "usermod -aG 54321 $USER"),
+    ],
+)
+def test_missing_permission_is_explained_by_the_group_of_the_port(mode: int, group: int, text: str) -> None:
+    assert text in explain_permission(os.stat_result((stat.S_IFCHR | mode, 0, 0, 1, 0, group, 0, 0, 0, 0)))
+
+
+@pytest.mark.parametrize("is_on", [True, False])
+async def test_lines_of_a_port_are_set_before_it_is_opened(is_on: bool) -> None:
+    with pty_pair() as (_, path):
+        transport = await open_serial(SerialConfig(path=path, dtr=is_on, rts=is_on))
+        assert transport.lines == (is_on, is_on)
+        await transport.aclose()
 
 
 def test_a_missing_usb_device_is_reported() -> None:

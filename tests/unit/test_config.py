@@ -66,11 +66,19 @@ def test_every_part_is_read(tmp_path: Path) -> None:
         ("[robots.a]\nmax_whel_m_s = 1.0", "unknown key robots.a.max_whel_m_s; did you mean max_wheel_m_s?"),
         (
             "[[serial]]\npath = 'x'\nspeed = 3",
-            "unknown key serial.0.speed; known: baud, baud_try_s, on_open, path, usb_serial",
+            "unknown key serial.0.speed; known: baud, baud_try_s, dtr, on_open, path, rts, usb_serial",
         ),
         ("[tcp]\nport = 'x'", "Expected `int`, got `str` - at `$.tcp.port`"),
         ("[[serial]]\nbaud = 3", "a serial port needs either path or usb_serial - at `$.serial[0]`"),
         ("[[serial]]\npath = 'x'\nbaud = []", "a serial port needs a baud rate - at `$.serial[0]`"),
+        (
+            "[[serial]]\npath = '/dev/ttyUSB0:115200'",
+            "the baud rate is a setting of its own: path = '/dev/ttyUSB0', baud = 115200 - at `$.serial[0]`",
+        ),
+        (
+            "[[serial]]\npath = '/dev/x'\non_open = 'reset'\ndtr = false",
+            'on_open = "reset" needs dtr = true - at `$.serial[0]`',
+        ),
         ("[[serial]]\npath = 'x'\non_open = 'jump'", "Invalid enum value 'jump' - at `$.serial[0].on_open`"),
         ("[tcp]\nallow = ['192.168.4.2/24']", "192.168.4.2/24 has host bits set - at `$.tcp`"),
         ("[tcp]\nmax_connections = 0", "a bound on connections must be at least 1 - at `$.tcp`"),

@@ -1,13 +1,19 @@
 // An emulated Uno (simavr) whose UART is a connection to the host: runs the image of a sketch with Arduino's core, as
 // it is flashed.
 //
-//   uno IMAGE HOST PORT
+//   uno IMAGE HOST PORT    runs as fast as a real Uno, or slower
+//   uno IMAGE              runs in steps: for each line "MILLISECONDS HEX" of its input it receives these bytes, runs
+//   for
+//                          this time, and writes "sent HEX"
 //
-// The program writes a line for each change of the LED: "digital 13 LEVEL". It runs as fast as a real Uno, or slower.
+// The program writes a line for each change of the LED: "digital 13 LEVEL".
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
 #include <unistd.h>
+
+#include <iostream>
+#include <string>
 
 #include "../any_board/tcp_socket.h"
 
@@ -27,6 +33,9 @@ const int kLedBit = 5;  // of port B
 
 struct Line {
   TcpSocket socket;
+  bool is_in_steps = false;
+  std::string from_host;  // in steps
+  size_t from_host_at = 0;
   bool can_receive = true;
   uint64_t next_at = 0;
 };
@@ -41,13 +50,18 @@ uint64_t now_us() {
 
 void send(avr_irq_t*, uint32_t value, void*) {
   const uint8_t byte = static_cast<uint8_t>(value);
-  line.socket.write(&byte, 1);
+  if (line.is_in_steps) {
+    printf("%02x", byte);
+  } else {
+    line.socket.write(&byte, 1);
+  }
 }
 
 void begin_receiving(avr_irq_t*, uint32_t, void*) { line.can_receive = true; }
 void end_receiving(avr_irq_t*, uint32_t, void*) { line.can_receive = false; }
 
 void report_led(avr_irq_t*, uint32_t value, void*) {
+  if (line.is_in_steps) return;
   printf("digital 13 %u\n", value & 1u);
   fflush(stdout);
 }
@@ -76,28 +90,60 @@ avr_irq_t* wire_up(avr_t* avr) {
   return avr_io_getirq(avr, uart, UART_IRQ_INPUT);
 }
 
+bool has_byte() { return line.is_in_steps ? line.from_host_at < line.from_host.size() : line.socket.available() > 0; }
+
+uint8_t next_byte() {
+  return line.is_in_steps ? static_cast<uint8_t>(line.from_host[line.from_host_at++])
+                          : static_cast<uint8_t>(line.socket.read());
+}
+
 void receive(avr_t* avr, avr_irq_t* input) {
-  if (!line.can_receive || avr->cycle < line.next_at || line.socket.available() == 0) return;
+  if (!line.can_receive || avr->cycle < line.next_at || !has_byte()) return;
   line.next_at = avr->cycle + kCyclesPerByte;
-  avr_raise_irq(input, static_cast<uint32_t>(line.socket.read()));
+  avr_raise_irq(input, next_byte());
+}
+
+// False: the program of the board has ended.
+bool run_until(avr_t* avr, avr_irq_t* input, uint64_t turn) {
+  while (avr->cycle < turn * kCyclesPerTurn) {
+    const int state = avr_run(avr);
+    if (state == cpu_Done || state == cpu_Crashed) return false;
+    if (avr->cycle >= line.next_at) receive(avr, input);
+  }
+  return true;
+}
+
+int run_in_steps(avr_t* avr, avr_irq_t* input) {
+  uint64_t turn = 0;
+  std::string step;
+  while (std::getline(std::cin, step)) {
+    const size_t space = step.find(' ');
+    turn += static_cast<uint64_t>(atoi(step.c_str()));
+    for (size_t at = space + 1; space != std::string::npos && at + 2 <= step.size(); at += 2) {
+      line.from_host += static_cast<char>(strtol(step.substr(at, 2).c_str(), nullptr, 16));
+    }
+    printf("sent ");
+    if (!run_until(avr, input, turn)) return 1;
+    printf("\n");
+    fflush(stdout);
+  }
+  return 0;
 }
 
 }  // namespace
 
 int main(int count, char** words) {
-  avr_t* avr = count == 4 ? make_board(words[1]) : nullptr;
-  if (avr == nullptr || !line.socket.connect(words[2], static_cast<uint16_t>(atoi(words[3])))) {
-    fprintf(stderr, "usage: %s IMAGE HOST PORT\n", words[0]);
+  avr_t* avr = count == 2 || count == 4 ? make_board(words[1]) : nullptr;
+  line.is_in_steps = count == 2;
+  if (avr == nullptr || (!line.is_in_steps && !line.socket.connect(words[2], static_cast<uint16_t>(atoi(words[3]))))) {
+    fprintf(stderr, "usage: %s IMAGE [HOST PORT]\n", words[0]);
     return 2;
   }
   avr_irq_t* input = wire_up(avr);
+  if (line.is_in_steps) return run_in_steps(avr, input);
   const uint64_t began_us = now_us();
   for (uint64_t turn = 1;; ++turn) {
-    while (avr->cycle < turn * kCyclesPerTurn) {
-      const int state = avr_run(avr);
-      if (state == cpu_Done || state == cpu_Crashed) return 1;
-      if (avr->cycle >= line.next_at) receive(avr, input);
-    }
+    if (!run_until(avr, input, turn)) return 1;
     const uint64_t passed_us = now_us() - began_us;
     if (turn * 1000 > passed_us) usleep(static_cast<useconds_t>(turn * 1000 - passed_us));
   }

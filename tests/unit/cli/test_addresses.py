@@ -2,7 +2,8 @@
 
 import pytest
 
-from hostlink.cli.addresses import parse_address
+from hostlink.cli.addresses import parse_address, parse_serial
+from hostlink.config import SerialConfig
 from hostlink.errors import ConfigError
 
 
@@ -22,3 +23,13 @@ def test_address_is_a_host_and_a_port(text: str, address: tuple[str, int]) -> No
 def test_text_that_is_not_an_address_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(ConfigError, match=r"--connect: '.*' is not HOST:PORT; an example: 192\.168\.4\.1:11411"):
         parse_address("--connect", text, "127.0.0.1")
+
+
+def test_baud_rate_behind_a_colon_is_refused_with_the_right_form() -> None:
+    with pytest.raises(ConfigError, match=r"'/dev/ttyUSB0:115200': .* follows an @: --serial /dev/ttyUSB0@115200"):
+        parse_serial("/dev/ttyUSB0:115200")
+
+
+def test_path_with_colons_is_a_port() -> None:
+    path = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0"
+    assert parse_serial(f"{path}@9600") == SerialConfig(path=path, baud=(9600,))

@@ -1,6 +1,7 @@
 """The example files: settings complete and true, rules that udev can read; systemd: tests/system/test_service.py."""
 
 import dataclasses
+import fnmatch
 import re
 import tomllib
 import typing
@@ -68,6 +69,32 @@ def test_every_part_of_the_udev_rules_is_one() -> None:
         if line and not line.startswith("#"):
             assert all(UDEV_PART.match(part) for part in line.split(", ")), line
     assert set(re.findall(r'GOTO="(\w+)"', text)) == set(re.findall(r'LABEL="(\w+)"', text))
+
+
+COMMON_PORTS = [  # adapters and boards: vendor and product
+    ("2341", "0043"), ("2a03", "0043"), ("303a", "1001"), ("0483", "5740"), ("0483", "374b"), ("2e8a", "000a"),
+    ("1a86", "7523"), ("1a86", "55d4"), ("10c4", "ea60"), ("10c4", "ea70"), ("0403", "6001"), ("0403", "6010"),
+    ("0403", "6014"), ("0403", "6015"), ("067b", "2303"), ("067b", "23a3"), ("16c0", "0483"), ("239a", "800b"),
+    ("1b4f", "9206"), ("2886", "802d"), ("0d28", "0204"), ("04d8", "000a"), ("03eb", "2145"), ("1ffb", "00a0"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("ids", COMMON_PORTS, ids=":".join)
+def test_udev_rules_know_a_common_port(ids: tuple[str, str]) -> None:
+    rule = re.compile(r'ATTRS\{idVendor\}=="(\w+)", (?:ATTRS\{idProduct\}=="([^"]+)", )?GOTO="hostlink_port"')
+    rules = rule.findall(read_example("udev"))
+    vendor, product = ids
+    assert any(
+        vendor == of_vendor and any(fnmatch.fnmatch(product, each or "*") for each in products.split("|"))
+        for of_vendor, products in rules
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["ttyACM", "ttyUSB", "ttyS", "ttyAMA", "ttyTHS", "ttymxc", "ttyMSM", "ttyGS", "rfcomm"]
+)
+def test_unit_permits_the_ports_of_common_computers(name: str) -> None:
+    assert f"DeviceAllow=char-{name} rw\n" in read_example("systemd")
 
 
 def test_an_example_that_there_is_not() -> None:

@@ -86,6 +86,24 @@ def test_too_small_buffers_are_found_by_announcement_refusal_and_log() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("least_bytes", "found"),
+    [
+        (705, ("/odom: a message of at least 705 bytes, the device sends at most 512",)),
+        (512, ()),
+        (0, ()),
+    ],
+)
+def test_publisher_whose_messages_never_fit_its_buffer_is_found(least_bytes: int, found: tuple[str, ...]) -> None:
+    negotiated = Session(check=lambda _: None)
+    monitor = LinkMonitor(negotiated, now_s=0.0, least_bytes=lambda _: least_bytes)
+    negotiated.open(now_s=0.0)
+    odometry = TopicInfo(Id.PUBLISHER, 125, "/odom", "nav_msgs/Odometry", "0" * 32, 512)
+    negotiated.receive(encode(Id.PUBLISHER, encode_topic_info(odometry)), now_s=0.1)
+    negotiated.tick(now_s=1.0)
+    assert monitor.evidence(2.0, silent_s=0.0).too_small == found
+
+
 STALLED = "left wheel stalled: no edge at PWM 4095; off until a zero"
 
 

@@ -34,6 +34,7 @@ class StreamHardware : public ros::Link {
     const size_t room = room_(port_);
     return room == 0 ? 0 : port_->write(bytes, size < room ? size : room);
   }
+  bool drains() override { return true; }
   uint32_t milliseconds() override {
     yield();
     return static_cast<uint32_t>(millis());

@@ -43,12 +43,13 @@ void FrameQueue::close(uint16_t id, size_t payload_bytes) {
   size_ += payload_bytes + kOverheadBytes;
 }
 
-void FrameQueue::flush(Link& link) {
-  while (size_ > 0) {
-    const size_t taken = accepted_of(size_, link.write(bytes_ + head_, size_));
-    if (taken == 0) return;
+bool FrameQueue::flush(Link& link) {
+  size_t taken = size_;
+  while (size_ > 0 && taken > 0) {
+    taken = accepted_of(size_, link.write(bytes_ + head_, size_));
     leave(taken);
   }
+  return size_ > 0;
 }
 
 void FrameQueue::clear() { head_ = size_ = begun_bytes_ = 0; }

@@ -29,7 +29,7 @@ class FrameQueue {
   bool make_room(uint16_t id, size_t payload_bytes);
   // End the frame whose payload was written.
   void close(uint16_t id, size_t payload_bytes);
-  void flush(Link& link);
+  bool flush(Link& link);  // whether some frames are left
   void clear();
 
   size_t payload_bytes_max() const { return payload_bytes_max_; }

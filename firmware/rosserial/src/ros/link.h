@@ -14,6 +14,7 @@ class Link {
   virtual int read() = 0;                                       // the next byte, or one of these; never waits
   virtual size_t write(const uint8_t* bytes, size_t size) = 0;  // accepts what fits now, never waits
   virtual uint32_t milliseconds() = 0;                          // wraps: use differences only
+  virtual bool drains() { return false; }  // write() soon accepts more of itself: a UART with a ring of a few bytes
 
  protected:
   ~Link() {}

@@ -18,9 +18,12 @@ const uint32_t kRetryMs = 10;
 const uint32_t kTimeIntervalMs = 2500;
 const uint32_t kHostTimeoutMs = 11000;
 const uint32_t kLateParameterMs = 1000;  // rosserial_python does not answer for a missing parameter: not longer
+const uint16_t kSlowMs = 5;              // half of the last turn: the ring of a UART lasts about ten
+const uint16_t kPatienceMs = 1000;
 const size_t kTimeBytes = 8;
 const size_t kBytesPerTurn = 1024;  // a flood must not block the control loop
 const size_t kLogBytes = 5;         // level and length
+const int kNeverFits = -2;          // result of send()
 
 bool is_to_host(Kind kind) { return (static_cast<uint8_t>(kind) & 1) == 0; }
 
@@ -80,8 +83,19 @@ uint32_t Node::spin() {
   is_calling_ = true;
   for (Task* task = tasks_; task != nullptr; task = task->next_) task->spin(*this);
   is_calling_ = false;
-  queue_.flush(link_);
+  drain();
   return 0;
+}
+
+// Send what is queued. A slow loop waits for a UART: its ring holds 63 bytes on an AVR, and the rest of a longer frame
+// would follow a whole turn later.
+void Node::drain() {
+  uint8_t last_ms = 0;  // the first look at the clock counts as a millisecond
+  while (queue_.flush(link_) && patience_ms_ > 0 && link_.drains()) {
+    const uint8_t now_ms = static_cast<uint8_t>(link_.milliseconds());
+    if (now_ms != last_ms) --patience_ms_;
+    last_ms = now_ms;
+  }
 }
 
 bool Node::spin_until(const bool& is_done, uint32_t timeout_ms) {
@@ -98,6 +112,9 @@ bool Node::begin_turn() {
   is_spinning_ = true;
   is_retrying_ = false;
   began_ms_ = link_.milliseconds();
+  patience_ms_ = static_cast<uint16_t>(began_ms_ - emptied_at_ms_) / 2;
+  if (patience_ms_ < kSlowMs) patience_ms_ = 0;
+  if (patience_ms_ > kPatienceMs) patience_ms_ = kPatienceMs;
   clock_.advance(began_ms_);
   if (is_configured_ && began_ms_ - time_received_ms_ > kHostTimeoutMs && lose_host()) return true;
   // Bytes after a frame that ended a turn.
@@ -241,7 +258,12 @@ int Node::publish(const Sender& sender, const void* message, Serialize serialize
   if (!is_configured_) return 0;
   const int size = send(sender.id_, message, serialize);
   ++(size < 0 ? not_queued_ : published_);
-  return size;
+  if (size == kNeverFits && !has_told_) {
+    has_told_ = true;
+    send_counted(kIdLog, sender.name_, put_too_large);
+  }
+  if (patience_ms_ > 0 && !is_calling_) drain();
+  return size < 0 ? -1 : size;
 }
 
 bool Node::send_counted(uint16_t id, const void* message, Serialize serialize) {
@@ -316,7 +338,7 @@ void Node::announce() {
                                        static_cast<uint32_t>(buffer_bytes)};
     const uint16_t kind = static_cast<uint16_t>(next.kind_);
     if (send(kind, &announcement, put_announcement) < 0) {
-      queue_.flush(link_);
+      drain();
       if (send(kind, &announcement, put_announcement) < 0) return;
     }
     announcing_ = next.next_ == nullptr && to_host ? receivers_ : next.next_;
@@ -326,13 +348,15 @@ void Node::announce() {
 
 void Node::end_announcement() {
   is_configured_ = true;
+  has_told_ = false;
   ++announcements_;
 }
 
-// A frame is queued whole, or not at all.
+// A frame is queued whole, or not at all: -1 for now, or kNeverFits.
 int Node::send(uint16_t id, const void* message, Serialize serialize) {
   Writer out = queue_.open();
   if (!serialize(message, out) || !queue_.has_room(out.size())) {
+    if (out.size() > queue_.payload_bytes_max()) return kNeverFits;
     const bool has_room = queue_.make_room(id, out.size());
     if (has_room) out = queue_.open();
     if (!has_room || !serialize(message, out)) return -1;

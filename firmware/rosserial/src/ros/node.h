@@ -48,8 +48,10 @@ class Node : private Topics {
   uint8_t announcements() const { return announcements_; }
   // In a callback: how long its message may have waited for this turn, at most; the link was not empty since then.
   uint32_t waited_ms() { return is_calling_ ? link_.milliseconds() - emptied_at_ms_ : 0; }
-  // The bytes of the payload. -1: dropped and counted; 0: the host has not asked for topics. A queued message may still
-  // be dropped for a newer one when the line is full.
+  // The bytes of the payload. -1: dropped and counted, for a message larger than the buffer with a line of the log; 0:
+  // the host has not asked for topics. A queued message may still be dropped for a newer one when the line is full. In
+  // a loop of 8 ms and more it is sent at once; for a UART both publish() and spin() wait, together for as long as the
+  // rest of the sketch takes, and for a second at most.
   int publish(const Sender& sender, const void* message, Serialize serialize);
   void log(Level level, const char* text);
   void log(Level level, FlashText text);
@@ -95,6 +97,7 @@ class Node : private Topics {
   bool is_replaceable(uint16_t id) const override;
   bool add(Endpoint& endpoint, Endpoint*& first, uint16_t first_id, uint16_t most);
   bool begin_turn();
+  void drain();
   bool read_link();
   bool find_nothing();
   bool give_up_frame();
@@ -118,6 +121,7 @@ class Node : private Topics {
   bool is_spinning_ = false;  // also while the clause of the paper waits
   bool is_retrying_ = false;
   bool is_calling_ = false;  // a callback
+  bool has_told_ = false;    // this host, that a message is larger than the buffer
   uint8_t announcements_ = 0;
   uint16_t receivers_max_;
   uint16_t senders_max_;
@@ -131,6 +135,7 @@ class Node : private Topics {
   Task* tasks_ = nullptr;
   const bool* awaited_ = nullptr;  // by spin_until
   uint32_t began_ms_ = 0;
+  uint16_t patience_ms_ = 0;    // how long this turn and publish() may still wait for the line: half of the last turn
   uint32_t emptied_at_ms_ = 0;  // all available bytes were read
   uint32_t frame_began_ms_ = 0;
   uint32_t time_requested_ms_ = 0;

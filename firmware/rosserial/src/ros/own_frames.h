@@ -67,6 +67,18 @@ inline bool put_line(const void* message, Writer& out) {
   return out.is_good();
 }
 
+// Of a topic: its name. A line of its own, so that a sketch without a log does not need the log's functions.
+inline bool put_too_large(const void* message, Writer& out) {
+  static const char text[] ROS_IN_FLASH = "message larger than buffer: ";
+  const size_t size = sizeof text - 1;
+  const char* name = static_cast<const char*>(message);
+  out.put(static_cast<uint8_t>(Level::kError));
+  out.put(static_cast<uint32_t>(size + strlen(name)));
+  for (size_t i = 0; i < size; ++i) out.put(static_cast<uint8_t>(FlashText(text)[i]));
+  put_chars(out, name);
+  return out.is_good();
+}
+
 inline bool put_parameter_name(const void* message, Writer& out) {
   put_name(out, *static_cast<const Name*>(message));
   return out.is_good();

@@ -21,11 +21,20 @@ class ServiceServer : public Receiver {
   ServiceServer(const char* service, void (C::*member)(const Request&, Response&) const, Object* object)
       : ServiceServer(service,
                       Callback(MemberOf<const C, void (C::*)(const Request&, Response&) const>{member, object})) {}
+  // The same with `Request&`, ROS's own spelling.
+  ServiceServer(const char* service, void (*callback)(Request&, Response&))
+      : ServiceServer(service, Callback(callback)) {}
+  template <class C, class Object>
+  ServiceServer(const char* service, void (C::*member)(Request&, Response&), Object* object)
+      : ServiceServer(service, Callback(MemberOf<C, void (C::*)(Request&, Response&)>{member, object})) {}
+  template <class C, class Object>
+  ServiceServer(const char* service, void (C::*member)(Request&, Response&) const, Object* object)
+      : ServiceServer(service, Callback(MemberOf<const C, void (C::*)(Request&, Response&) const>{member, object})) {}
 
   Sender& response() { return response_; }  // the other half of the service
 
  private:
-  typedef Callable<void(const Request&, Response&)> Callback;
+  typedef Callable<void(Request&, Response&)> Callback;
 
   ServiceServer(const char* service, const Callback& callback)
       : Receiver(Kind::kServerRequest, service, Request::getType(), Request::getMD5(), Request::getSize(),
