@@ -11,6 +11,7 @@ from hostlink.errors import ConfigError
     [
         ("robot.local:11411", ("robot.local", 11411)),
         (":80", ("127.0.0.1", 80)),
+        ("11411", ("127.0.0.1", 11411)),
         ("[fe80::1%eth0]:80", ("fe80::1%eth0", 80)),
     ],
 )
@@ -22,3 +23,9 @@ def test_address_is_a_host_and_a_port(text: str, address: tuple[str, int]) -> No
 def test_text_that_is_not_an_address_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(ConfigError, match=r"--connect: '.*' is not HOST:PORT; an example: 192\.168\.4\.1:11411"):
         parse_address("--connect", text, "127.0.0.1")
+
+
+@pytest.mark.parametrize("text", ["COM3", "com3", "/dev/ttyUSB0"])
+def test_a_serial_port_is_refused_as_an_address_with_its_option(text: str) -> None:
+    with pytest.raises(ConfigError, match="is not HOST:PORT; a serial port is --serial /dev/ttyUSB0"):
+        parse_address("--listen", text, "127.0.0.1")
