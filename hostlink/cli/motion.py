@@ -16,7 +16,7 @@ from hostlink.cli.output import show_progress, write, write_error
 from hostlink.cli.quantities import metres, radians
 from hostlink.cli.robots import free_robot, name_of
 from hostlink.cli.teleop import QUIT_SIGNALS
-from hostlink.client import DEFAULT_URL, Motion, Progress, Robot
+from hostlink.client import DEFAULT_URL, Motion, MotionKind, Progress, Robot
 from hostlink.errors import ConfigError, HostlinkError, RefusalKind
 
 PRIORITY = 50  # of a program, as in the Python client
@@ -203,5 +203,7 @@ def broken_off(robot: str, way: Way, motion: Motion) -> str:
         step = f"; to drive it again: hostlink unlock {robot}"
     elif motion.kind == RefusalKind.HELD:
         step = "; `hostlink robots` shows who drives"
+    elif motion.kind == MotionKind.CONNECTION:
+        step = "; the robot stops by itself; `hostlink robots` shows its speed when the daemon runs again"
     reason = f"{motion.reason}{by}{step}" if motion.reason or by else "the robot was stopped"
     return f"{robot}: {motion.outcome} before {way.text(way.amount)}: {reason}"

@@ -66,6 +66,11 @@ def test_the_name_may_be_left_out() -> None:
             Motion(MotionOutcome.STOPPED, 2.0, 0.1, 0.0, kind="held", by="client 3", reason="client 3 drives"),
             "mule: stopped before +1.000 m: client 3 drives; `hostlink robots` shows who drives",
         ),
+        (
+            Motion(MotionOutcome.STOPPED, 2.0, 0.1, 0.0, kind="connection", reason="it is lost"),
+            "mule: stopped before +1.000 m: it is lost; the robot stops by itself; `hostlink robots` shows its speed "
+            "when the daemon runs again",
+        ),
         (Motion(MotionOutcome.STOPPED, 2.0), "mule: stopped before +1.000 m: the robot was stopped"),
     ],
 )
