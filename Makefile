@@ -29,17 +29,16 @@ MUTANTS ?= 8
 MUTANTS_SEED ?= 1
 
 CORES := $(shell nproc)
-WORKERS ?= $(shell echo $$((4 * $(CORES))))# of make test: three quarters of its time is waiting
-QUIET_WORKERS ?= $(shell echo $$((3 * $(CORES))))# of the tests that a busy machine disturbs: three fifths of their time is waiting
+WORKERS ?= $(shell echo $$((4 * $(CORES))))# of tests that start no program: much of their time is waiting
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo docs test test-long quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release compiled test-compiled weight piuparts arm64 format clean
+.PHONY: help demo docs test test-all quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release compiled test-compiled weight piuparts arm64 format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot (ARGS='--api 127.0.0.1:9091 --listen 127.0.0.1:11412': other ports)"
-	@echo "make quick   run the tests that need nothing but Python, in about a minute"
-	@echo "make test    run all tests except those marked long, in about five minutes"
-	@echo "make test-long  run the tests marked long: whole tables, hundred robots, minutes of driving; CI runs them too"
+	@echo "make test    run the tests that need Python alone, in two or three minutes with their installation (230 MB in .venv)"
+	@echo "make test-all  run every test: installs compilers, emulators, browsers and ROS (5 GB), and runs for half an hour"
+	@echo "make quick   run the unit tests, in about a minute"
 	@echo "make docs    build the site of the documents, into build/docs/index.html"
 	@echo "make test-pythons  unit, property and integration tests on each Python from 3.11 that is found (PYTHONS=3.13)"
 	@echo "make coverage  which branches of the core no test takes; the pure packages must have none"
@@ -76,10 +75,15 @@ $(VENV)/.hostlink: pyproject.toml | $(BIN)/python
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[sim]'
 	@touch $@
 
-$(VENV)/.dev: pyproject.toml | $(BIN)/python
-	@echo "installing hostlink and its test tools into $(VENV) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+# What is only tested is compiled when it is imported: half of the time of an installation.
+$(VENV)/.test: pyproject.toml | $(BIN)/python
+	@echo "installing hostlink and what its tests need into $(VENV): about 45 Python packages, 230 MB; nothing outside of it ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -e '.[test]'
 	@touch $@ $(VENV)/.hostlink
+
+$(VENV)/.dev: pyproject.toml | $(BIN)/python
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@ $(VENV)/.hostlink $(VENV)/.test
 
 demo: $(VENV)/.hostlink
 	@exec $(BIN)/hostlink demo $(ARGS)
@@ -115,11 +119,14 @@ ros-mcp-venv: $(ROS_MCP_VENV)/.installed
 
 # promtool out of Debian's package, which when installed would start a server on port 9090.
 PROMTOOL := build/promtool/usr/bin/promtool
+DOWNLOADS := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/hostlink-tests# of all clones, as pip and npm keep theirs
 
 $(PROMTOOL):
 	@mkdir -p build/promtool
-	@cd build/promtool && { apt-get -qq download prometheus || { apt-get -o DPkg::Lock::Timeout=300 -qq update && apt-get -qq download prometheus; }; }
-	@cd build/promtool && dpkg -x prometheus_*.deb . && rm prometheus_*.deb && touch usr/bin/promtool
+	@mkdir -p $(DOWNLOADS)
+	@cd $(DOWNLOADS) && { ls prometheus_*.deb >/dev/null 2>&1 || apt-get -qq download prometheus \
+	  || { apt-get -o DPkg::Lock::Timeout=300 -qq update && apt-get -qq download prometheus; }; }
+	@dpkg -x $$(ls $(DOWNLOADS)/prometheus_*.deb | tail -1) build/promtool && touch $@
 
 CLIENTS := tests/clients/node_modules/.package-lock.json
 
@@ -129,27 +136,31 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 	@cd tests/clients && npm ci --ignore-scripts --no-progress --loglevel=error
 	@touch $@
 
-# What cannot be installed here does not end the run: the table lists the tests that need it (tests/support/requirements.py).
+.PHONY: test-packages
+test-packages:
+	@tools/require.sh tmux zsh procps systemd man-db chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES)
+
+# Lanes that are installed side by side. What cannot be installed here does not end the run: the table at its end lists the
+# tests that need it (tests/support/requirements.py).
 .PHONY: test-requirements
-test-requirements: $(VENV)/.dev
-	@tools/require.sh tmux zsh procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES) || true
-	@for each in $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed $(PROMTOOL); do \
-	  $(MAKE) --no-print-directory $$each || echo "the tests that need $$each are not run"; done
+test-requirements: | $(BIN)/python
+	@$(PYTHON) tools/install_for_tests.py --lane $(VENV)/.dev $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed \
+	  --lane test-packages $(CLIENTS) $(PROMTOOL)
 
-test: test-requirements
-	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS)
+test: $(VENV)/.test
+	$(BIN)/python tools/run_tests.py python --workers $(WORKERS)
 
-test-long: test-requirements
-	$(BIN)/python tools/run_tests.py --long --quiet-workers $(CORES)
+test-all: test-requirements
+	$(BIN)/python tools/run_tests.py all --workers $(WORKERS)
 
 quick: $(VENV)/.dev
-	$(BIN)/python -m pytest -q --workers $(CORES) -m "not quiet and not alone and not long" tests/unit
+	$(BIN)/python -m pytest -q --workers $(CORES) -m "not slow and not quiet and not alone and not long" tests/unit
 
 coverage: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest --workers $(CORES) tests/unit tests/property tests/integration
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
-	$(BIN)/python tools/run_tests.py --branches
+	$(BIN)/python tools/run_tests.py branches
 
 release: $(VENV)/.dev
 	@tools/require.sh $(DEB_PACKAGES) $(COMPILED_PACKAGES)

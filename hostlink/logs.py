@@ -15,14 +15,15 @@ The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.
                  config.refused, descriptors.exhausted, loop.error, library.complained
 Recordings       recording.started, recording.stopped, recording.stored, recording.failed, incident.begun,
                  incident.saved, incident.lost, incident.postponed, recording.channel_limit_reached,
-                 drives.lost, black_box.volatile
+                 recording.file_removed, drives.lost, black_box.volatile
 A ROS 1 graph    ros1.started, ros1.ended, ros1.master_found, ros1.master_lost, ros1.registered_again, ros1.crashed,
                  ros1.name_refused, ros1.publisher_failed, ros1.publication_failed, ros1.message_refused,
                  ros1.message_malformed, ros1.topic_unknown, ros1.service_unknown, ros1.service_unusable,
                  ros1.parameter_unusable, ros1.clock_unusable, ros1.caller_too_slow
 Its guardian     guardian.started, guardian.ended, guardian.start_failed, guardian.incomplete, guardian.stopped_robots
 Zenoh            zenoh.opened, zenoh.closed, zenoh.failed, fleet.daemon_appeared, fleet.daemon_gone,
-                 fleet.duplicate_name_found, fleet.name_differs, fleet.unanswered, fleet.topic_refused, graph.crashed
+                 fleet.duplicate_name_found, fleet.name_differs, fleet.unanswered, fleet.topic_refused,
+                 fleet.hearing_changed, graph.crashed
 ROS 2 on Zenoh   ros2.joined, ros2.left, ros2.trouble, ros2.refused, ros2.topic_refused, ros2.service_refused,
                  ros2.type_unknown, ros2.type_differs
 The log itself   log.lines_left_out, log.lines_lost

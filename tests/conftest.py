@@ -1,7 +1,7 @@
 """Number of hypothesis examples, order of the tests, tests that cannot run here, and signals of the tests' programs.
 
 A test of tests/property draws 30 examples, any other test 20. HYPOTHESIS_PROFILE=ci draws 100 and 20, the same ones
-each time, and fuzz 5000 for each test.
+each time, `same` (of `make test`) 20, the same ones each time, and fuzz 5000 for each test.
 """
 
 import gc
@@ -9,6 +9,7 @@ import os
 import signal
 import zlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -27,9 +28,45 @@ settings.register_profile("default", max_examples=_EXAMPLES, **_COMMON)
 settings.register_profile("default_fewer", max_examples=_FEWER_EXAMPLES, **_COMMON)
 settings.register_profile("ci", max_examples=_CI_EXAMPLES, derandomize=True, print_blob=True, **_COMMON)
 settings.register_profile("ci_fewer", settings.get_profile("ci"), max_examples=_FEWER_EXAMPLES)
+settings.register_profile("same", settings.get_profile("ci"), max_examples=_FEWER_EXAMPLES)
+settings.register_profile("same_fewer", settings.get_profile("same"))
 settings.register_profile("fuzz", _FUZZ)
 settings.register_profile("fuzz_fewer", _FUZZ)
 settings.load_profile(_PROFILE)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the choice of `make test`: tests that need Python and the extra `test` only."""
+    parser.addoption("--python-only", action="store_true", help="only tests without requirements")
+
+
+class _NotCollected(pytest.File):
+    """File of tests that cannot be imported here: one test that is skipped, so that a report names it."""
+
+    reason = ""
+
+    def collect(self) -> Iterator[pytest.Item]:
+        """Yield the skipped test."""
+        item = _NotRun.from_parent(self, name="all of its tests")
+        item.add_marker(pytest.mark.skip(reason=self.reason))
+        yield item
+
+
+class _NotRun(pytest.Item):
+    def runtest(self) -> None:
+        """Fail: it is always skipped."""
+        raise AssertionError(self.nodeid)
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.File | None:
+    """Replace a file of tests whose Python packages are not installed."""
+    name = module_path.relative_to(requirements.ROOT).as_posix()
+    absent = [each for each in requirements.missing() if any(need.startswith("import ") for need in each.needs)]
+    for reason in requirements.reasons(name, (), absent):
+        found: _NotCollected = _NotCollected.from_parent(parent, path=module_path)
+        found.reason = reason
+        return found
+    return None
 
 
 def pytest_collectstart(collector: pytest.Collector) -> None:
@@ -72,15 +109,22 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Skip what needs a missing program, and mix the order of the files.
+    """Skip what needs something that is missing, or leave it out by --python-only, and mix the order of the files.
 
     Workers take the files in a mixed order: files that wait run with files that compute, and no core is idle. Files
     that measure times keep their order.
     """
-    absent = requirements.missing()
+    is_python_only = config.option.python_only
+    absent = requirements.REQUIREMENTS if is_python_only else requirements.missing()
+    runs: dict[bool, list[pytest.Item]] = {True: [], False: []}
     for item in items:
-        for reason in requirements.reasons(_file(item), getattr(item, "fixturenames", ()), absent):
+        reasons = list(requirements.reasons(item.nodeid, getattr(item, "fixturenames", ()), absent))
+        runs[not (is_python_only and reasons)].append(item)
+        for reason in reasons:
             item.add_marker(pytest.mark.skip(reason=reason))
+    items[:] = runs[True]
+    if runs[False]:
+        config.hook.pytest_deselected(items=runs[False])
     if config.option.workers:
         items.sort(key=_place)
 

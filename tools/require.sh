@@ -7,8 +7,9 @@ for package in "$@"; do
 done
 [ ${#missing[@]} -eq 0 ] && exit 0
 if [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
-  echo "installing ${missing[*]} ..."
   apt-get -o DPkg::Lock::Timeout=300 -qq update
+  size=$(LC_ALL=C apt-get install --no-install-recommends --assume-no "${missing[@]}" 2>/dev/null | grep -o '[0-9.,]* [kMG]B of additional disk space' || true)
+  echo "installing ${missing[*]}${size:+: $size} ..."
   DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 -qq install --no-install-recommends -y "${missing[@]}" >/dev/null
 else
   echo "needed and not installed: ${missing[*]}. Run:  sudo apt-get install ${missing[*]}" >&2

@@ -1,10 +1,12 @@
 """Run the tests in groups. Each group runs, also after another one failed; a table at the end shows all results.
 
-The groups are the pure packages with their branches counted, all other tests, those that a busy machine disturbs
-(marked `quiet`), and those that need the machine for themselves (marked `alone`). Tests marked `long` are in none of
-these groups: `--long` runs them in two groups of their own.
+`python` (make test) has one group: the tests that need Python and the extra `test` alone, and less than half a second
+of CPU each. `all` (make test-all) has every test: the pure packages with their branches counted, all other tests of
+Python alone, those that start programs, those that a busy machine disturbs (marked `quiet`), those that need the
+machine for themselves (marked `alone`), and the ones that take long (marked `long`). Tests that start programs have one
+worker for each core.
 
-Tests whose programs are not installed (`tests/support/requirements.py`) are listed as not run. They fail the run only
+Tests whose requirements are missing (`tests/support/requirements.py`) are listed as not run. They fail the run only
 where CI=true.
 """
 
@@ -21,6 +23,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 REPORTS = Path("build/tests")
+PYTHON_TESTS = ("tests/unit", "tests/property", "tests/integration")
+STARTS_PROGRAMS = re.compile(r"\b(subprocess|tests\.support\.(process|forked_\w+|until_listening|killing)|compilers)\b")
 PURE = ("protocol", "messages", "robot", "diagnosis")
 MISSING = "needs "  # begins the reason of a skip for which something is not installed
 
@@ -85,30 +89,39 @@ def table(results: Sequence[Result]) -> str:
     return "\n".join(lines)
 
 
-def groups(workers: int, quiet_workers: int) -> list[tuple[str, list[str], list[str]]]:
-    """Return the name, the command and the arguments of each group of `make test`."""
-    pytest = ["-m", "pytest"]
+def python_groups(workers: int) -> list[tuple[str, list[str], list[str]]]:
+    """Return the name, the command and the arguments of the group of `make test`."""
+    unmarked = "not slow and not quiet and not alone and not long"
+    selected = ["--workers", str(workers), "--python-only", "-m", unmarked, *PYTHON_TESTS]
+    return [("python", ["-m", "pytest"], selected)]
+
+
+def all_groups(workers: int, cores: int) -> list[tuple[str, list[str], list[str]]]:
+    """Return the name, the command and the arguments of each group of `make test-all`."""
+    pytest, each_core = ["-m", "pytest"], ["--workers", str(cores)]
     pure_tests = [f"tests/unit/{package}" for package in PURE]
-    others = [f"--ignore={each}" for each in pure_tests]
+    programs = starting_programs()
+    unmarked = "not quiet and not alone and not long"
+    others = [f"--ignore={each}" for each in (*pure_tests, *programs)]
+    long = marked("long")
     return [
-        ("pure", ["-m", "coverage", "run", *pytest], ["--workers", str(quiet_workers), *pure_tests]),
-        ("others", pytest, ["--workers", str(workers), "-m", "not quiet and not alone and not long", *others]),
-        (
-            "quiet",
-            pytest,
-            ["--workers", str(quiet_workers), "-m", "quiet and not alone and not long", *marked("quiet")],
-        ),
+        ("pure", ["-m", "coverage", "run", *pytest], ["--workers", str(workers), *pure_tests]),
+        ("others", pytest, ["--workers", str(workers), "-m", unmarked, *PYTHON_TESTS, *others]),
+        ("programs", pytest, [*each_core, "-m", unmarked, *programs]),
+        ("quiet", pytest, [*each_core, "-m", "quiet and not alone and not long", *marked("quiet")]),
         ("alone", pytest, ["-m", "alone and not long", *marked("alone")]),
+        ("long", pytest, [*each_core, "-m", "long and not alone", *long]),
+        ("long alone", pytest, ["-m", "long and alone", *long]),
     ]
 
 
-def long_groups(workers: int) -> list[tuple[str, list[str], list[str]]]:
-    """Return the name, the command and the arguments of each group of `make test-long`."""
-    files = marked("long")
-    return [
-        ("long", ["-m", "pytest"], ["--workers", str(workers), "-m", "long and not alone", *files]),
-        ("long alone", ["-m", "pytest"], ["-m", "long and alone", *files]),
-    ]
+def starting_programs() -> list[str]:
+    """Return the files whose tests start programs: daemons, browsers, boards, compilers, emulators."""
+    return sorted(
+        str(file)
+        for file in Path("tests").rglob("test_*.py")
+        if file.parts[1] in ("system", "firmware") or STARTS_PROGRAMS.search(file.read_text())
+    )
 
 
 def marked(mark: str) -> list[str]:
@@ -132,26 +145,32 @@ def exit_code(results: Sequence[Result], *, is_ci: bool) -> int:
 
 
 def main() -> int:
-    """Run each group of `make test` or `make test-long`."""
+    """Run each group of `make test` or `make test-all`."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--quiet-workers", type=int, default=2)
-    parser.add_argument("--long", action="store_true", help="only the tests marked long")
-    parser.add_argument("--branches", action="store_true", help="only check what the last run with coverage took")
+    parser.add_argument(
+        "selection", choices=("python", "all", "branches"), help="branches: check those of the last run"
+    )
+    parser.add_argument("--workers", type=int, default=2, help="for tests that start no program")
     arguments = parser.parse_args()
-    if arguments.branches:
+    if arguments.selection == "branches":
         return covered().code
     REPORTS.mkdir(parents=True, exist_ok=True)
-    run(["-m", "tests.firmware.build_all"])
+    if arguments.selection == "python":
+        os.environ.setdefault("HYPOTHESIS_PROFILE", "same")
+        selected = python_groups(arguments.workers)
+    else:
+        run(["-m", "tests.firmware.build_all"])
+        selected = all_groups(arguments.workers, os.cpu_count() or 1)
     results: list[Result] = []
-    selections = (
-        long_groups(arguments.quiet_workers) if arguments.long else groups(arguments.workers, arguments.quiet_workers)
-    )
-    for name, command, selected in selections:
-        results.append(run_group(name, command, selected))
+    for name, command, arguments_of_group in selected:
+        results.append(run_group(name, command, arguments_of_group))
         if name == "pure":
             results.append(covered())
     print(table(results), flush=True)
+    if arguments.selection == "python":
+        print(
+            "make test-all also runs what needs browsers, compilers, emulators and ROS, and what takes long", flush=True
+        )
     return exit_code(results, is_ci=os.environ.get("CI") == "true")
 
 

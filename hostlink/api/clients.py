@@ -2,7 +2,7 @@
 
 import asyncio
 import itertools
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Coroutine, Hashable
 from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, NoReturn, Protocol, TypedDict, TypeVar
@@ -16,6 +16,7 @@ from hostlink.errors import BadPayload
 from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.queue import Queue
 from hostlink.hub.topic import Topic
+from hostlink.logs import printable
 from hostlink.robot.admission import UNORDERED_S
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
 
@@ -199,6 +200,19 @@ class ClientQueue(Queue[Outgoing]):
 
 def _size_bytes(outgoing: Outgoing) -> int:
     return len(outgoing.data) + len(outgoing.before)
+
+
+MAX_NAMED = 3  # topics in the text about dropped messages
+
+
+def dropped_text(counts: Counter[str]) -> str:
+    """Return what a client has lost, by topic, since it was told the last time."""
+    named = ", ".join(f"{printable(topic)} {count}" for topic, count in counts.most_common(MAX_NAMED))
+    rest = ", ..." if len(counts) > MAX_NAMED else ""
+    return (
+        f"this client reads too slowly; messages dropped: {counts.total()} ({named}{rest}); "
+        "read faster, or receive less: throttle_rate of a subscription"
+    )
 
 
 def put_json(queue: ClientQueue, answer: object) -> None:

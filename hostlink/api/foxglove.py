@@ -18,7 +18,7 @@ import msgspec
 import structlog
 
 from hostlink.api.bodies import size_bytes_of
-from hostlink.api.clients import ClientQueue, Operation, Outgoing, Spawn, put_json, velocity_of_payload
+from hostlink.api.clients import ClientQueue, Operation, Outgoing, Spawn, dropped_text, put_json, velocity_of_payload
 from hostlink.api.foxglove_protocol import (
     MAX_ITEMS,
     ROS1,
@@ -56,6 +56,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
 from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph, resolve
+from hostlink.log_budget import Budget
 from hostlink.loop_time import loop_time_s
 from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.messages.message_type import MessageType, ServiceType
@@ -517,6 +518,7 @@ class FoxgloveClient:
         """Join the hub. `spawn` runs a service call."""
         self.participant = hub.join(name, role=role, on_end=queue.close)
         self._hub, self._directory, self._queue = hub, directory, queue
+        self._queue.on_dropped, self._dropped = self._tell_dropped, Budget()
         self._time = FoxgloveTime(self.participant, hub.topics, queue)
         self._subscriptions = FoxgloveSubscriptions(self.participant, queue, self._time)
         self._advertised: dict[int, _Advertised] = {}  # by the client's ids, of which several may have one topic
@@ -730,6 +732,11 @@ class FoxgloveClient:
     def _put_offers(self, op: str, key: str, offers: Sequence[FoxgloveChannel | FoxgloveService]) -> None:
         for start in range(0, len(offers), BATCH):
             put_json(self._queue, {"op": op, key: [offer.json for offer in offers[start : start + BATCH]]})
+
+    def _tell_dropped(self, topic: str) -> None:
+        """Tell the client at once, and then every ten seconds, what it has lost because it reads too slowly."""
+        if counts := self._dropped.due("dropped", loop_time_s(), topic):
+            self._put_status(_WARNING, dropped_text(counts), "hostlink: dropped")
 
     def _put_status(self, level: int, text: str, status_id: str | None = None) -> None:
         """Send a status. It replaces the previous one of the same id."""

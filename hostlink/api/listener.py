@@ -13,6 +13,7 @@ import structlog
 from aiohttp import web
 
 from hostlink.acceptor import Acceptor
+from hostlink.arrival import Arrival
 from hostlink.forwarding_protocol import ForwardingProtocol
 from hostlink.hub.hub import Hub
 from hostlink.log_budget import Budget
@@ -170,7 +171,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._timeout_s = hub.config.api.request_timeout_s
         self._loop = asyncio.get_running_loop()
         self._held = b""  # read, but not passed on; reading is paused
-        self._is_behind = behind_since_s is not None  # whether more bytes may wait behind those read last
+        self._arrival = Arrival(behind_since_s)
         self._next_request_came_s: float | None = None
         self._is_web_socket = self._is_refusing = self._is_lost = False
         self._is_last_request = False  # whether bytes were passed on while the transport was closing
@@ -189,6 +190,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         """Note that the request is answered."""
         self._next_request_came_s = None
         self._connections.wait(self._connection, self._loop.time())
+        self.note_reading()
 
     @contextlib.contextmanager
     def receiving_body(self) -> Iterator[None]:
@@ -212,6 +214,10 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         """Remove the callbacks of the WebSocket."""
         self._on_read = self._on_writable = _call_nothing
 
+    def note_reading(self) -> None:
+        """Note that the protocol inside may read again: what waited in the system is read soon, or nothing did."""
+        self._leave(is_more=True)
+
     def receive_control(self, payload_bytes: int) -> None:
         """Subtract a ping or a pong, which belongs to no message: a client may send only those for days."""
         self.unread_bytes = max(0, self.unread_bytes - payload_bytes - CONTROL_FRAME_BYTES)
@@ -229,9 +235,8 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
     def buffer_updated(self, nbytes: int) -> None:
         data = bytes(_INTO[:nbytes])
         self.reads += 1
-        if not self._is_behind:  # the bytes arrived after the previous turn of the event loop
-            self.came_s = self._came(self._loop.time())
-        self._is_behind = nbytes == (SOCKET_BYTES if self._is_web_socket else REQUEST_BYTES)
+        self.came_s = self._arrival.arrive(self._came(self._loop.time()))
+        is_full = nbytes == (SOCKET_BYTES if self._is_web_socket else REQUEST_BYTES)
         if self._next_request_came_s is None:
             self._next_request_came_s = self.came_s
         if self._held or self._is_refusing:
@@ -243,6 +248,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         else:
             self._hold(data)
             self._turns.call(self._release, is_flooding=nbytes >= READ_BYTES)
+        self._leave(is_more=is_full)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._is_lost, self._held = True, b""
@@ -264,9 +270,13 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
 
     # -- its parts ----------------------------------------------------------------------------------------------------
 
+    def _leave(self, *, is_more: bool) -> None:
+        """Note that all bytes were passed on and more are read, unless the protocol inside has paused that."""
+        if not self._held and not self._is_lost and self.transport.is_reading():
+            self._turns.leave(self._arrival, is_more=is_more)
+
     def _hold(self, data: bytes) -> None:
         self._held = b"" if self._is_refusing else self._held + data
-        self._is_behind = True
         self.transport.pause_reading()
 
     def _release(self) -> None:
@@ -278,6 +288,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         if not self._is_last_request:
             self.transport.resume_reading()
         self._pass_on(data)
+        self.note_reading()
 
     def _pass_on(self, data: bytes) -> None:
         began_s = self._loop.time()
@@ -296,8 +307,6 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
             self._deadline = self._loop.call_later(self._timeout_s, self.transport.abort)
         self._inner.data_received(data)
         self._on_read()
-        if not self._is_lost and not self.transport.is_reading():
-            self._is_behind = True
 
     def _try_again(self) -> None:
         if self._is_lost:
@@ -307,6 +316,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         if not self.transport.is_closing():
             self.transport.resume_reading()
         self._receive(data)
+        self.note_reading()
 
     def give_room(self) -> None:
         """Return the room of a large message to the budget."""

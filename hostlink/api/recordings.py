@@ -39,7 +39,7 @@ class RecordingRequest(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class RecordingView(TypedDict):
-    """A recording that is running or was just stopped."""
+    """A recording that is running or was just stopped. `removed`: files that another program removed meanwhile."""
 
     name: str
     owner: str
@@ -49,6 +49,7 @@ class RecordingView(TypedDict):
     dropped: int
     bytes: int
     files: list[str]
+    removed: NotRequired[list[str]]
     failure: NotRequired[str]
 
 
@@ -215,11 +216,13 @@ def recording_view(recording: Recording) -> RecordingView:
         "owner": recording.owner,
         "topics": recording.recorder.topics,
         "seconds": round(recording.seconds, 3),
-        "messages": thread.messages,
+        "messages": thread.messages - thread.lost,
         "dropped": thread.dropped,
         "bytes": thread.written_bytes,
         "files": [path.name for path in thread.paths],
     }
+    if recording.removed:
+        view["removed"] = recording.removed
     if thread.failure is not None:
         view["failure"] = thread.failure
     return view

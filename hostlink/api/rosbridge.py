@@ -25,6 +25,7 @@ from hostlink.api.clients import (
     Outgoing,
     Spawn,
     VelocityOf,
+    dropped_text,
     put_json,
     velocity_of_payload,
 )
@@ -41,6 +42,7 @@ from hostlink.hub.robot_topic_publisher import command_topics
 from hostlink.hub.robots import Robots
 from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph, resolve
+from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog, to_time
 from hostlink.messages.fields import SCALAR
@@ -50,6 +52,7 @@ from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
+MAX_REASON = 120  # characters of why a program stops; longer ones are cut
 MAX_TEXT = 1024  # characters of a name or an id; roslib's longest ids are a name and 50 more
 
 
@@ -69,6 +72,7 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
     epoch: int | None = None  # of the robot, from the previous answer
     stops: int | None = None  # synonym of `epoch`
     link: int | None = None  # number of the device's connection; for another number the epoch counts as an earlier one
+    reason: str = ""  # of a zero: why the program drives no more
     op: str = "drive"
     id: object = None
 
@@ -676,6 +680,7 @@ class DriveCommands:
                 sent_s=wanted.sent_s,
                 epoch=epoch,
                 is_planar=wanted.is_planar,
+                reason=printable(wanted.reason, MAX_REASON),
             )
         except HostlinkError as error:
             self._refuse(request, robot, error)
@@ -807,6 +812,8 @@ class RosbridgeClient:
         subscriptions = ClientSubscriptions(self.participant, queue, self._warn)
         self._hub = hub
         self._queue = queue
+        self._queue.on_dropped = self._tell_dropped
+        self._dropped = Budget()  # messages that the queue has dropped
         self._spawn = spawn
         self.calls = 0  # pending
         self._status_from: int | None = None  # index in _LEVELS; None: not set by the client
@@ -962,6 +969,13 @@ class RosbridgeClient:
         if isinstance(request_id, str | int | float):
             status["id"] = str(request_id)
         put_json(self._queue, status)
+
+    def _tell_dropped(self, topic: str) -> None:
+        """Tell the client at once, and then every ten seconds, what it has lost because it reads too slowly."""
+        counts = self._dropped.due("dropped", asyncio.get_running_loop().time(), topic)
+        if counts and self._status_from is not None and self._status_from <= _ERROR:
+            status = {"op": "status", "level": "error", "msg": dropped_text(counts), "kind": "TooSlow"}
+            put_json(self._queue, status)
 
     def _is_shown_velocity(self, request: Request | None) -> bool:
         """Whether the error refuses a published velocity, and the rate limit of its topic admits a status."""

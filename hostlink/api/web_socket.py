@@ -87,6 +87,7 @@ class ClientSocket:
             while True:
                 reads = reading.reads
                 message = await self._socket.receive()
+                reading.note_reading()
                 if message.type in CLOSING:
                     self._note_news()  # answers that wait are dropped
                     await self._until(lambda: not operations.waiting)

@@ -17,10 +17,11 @@ from hostlink.board.settings import SETTINGS, BoardSettings, Setting, check_valu
 from hostlink.cli.arguments import Json
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.names import LISTED, near
-from hostlink.cli.output import clear_progress, plain, quantity, show_progress, write, write_error
+from hostlink.cli.output import clear_progress, quantity, show_progress, write, write_error
 from hostlink.config import SerialConfig
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, size
 from hostlink.messages.catalog import Catalog, check_not_empty
+from hostlink.plain_text import plain
 from hostlink.transport.serial import open_serial
 
 # -- arduino library --------------------------------------------------------------------------------------------------

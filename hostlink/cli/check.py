@@ -26,9 +26,11 @@ from hostlink.hub.parameters import to_parameter
 from hostlink.hub.robot_topic_publisher import frames_of
 from hostlink.hub.topic_graph import resolve
 from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor
-from hostlink.listening import close_all
+from hostlink.listening import close_all, spelled
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_parameter
+from hostlink.recording.folder import default_folder
+from hostlink.recording.owner import owner_of
 from hostlink.transport.serial import find_port
 from hostlink.transport.udp import serve_udp
 
@@ -132,14 +134,13 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
 def describe(config: Config) -> list[str]:
     """Lines that describe what would be served."""
     tcp, udp, api = config.tcp, config.udp, config.api
-    lines = [f"devices on TCP {tcp.host}:{tcp.port}, from {_describe_who(tcp)}, at most {tcp.max_connections}"]
+    lines = [f"devices on TCP {spelled(tcp.host, tcp.port)}, from {_describe_who(tcp)}, at most {tcp.max_connections}"]
     if udp is not None:
         believed = f"; {', '.join((*udp.trusted, *udp.devices))} trusted" if udp.trusted or udp.devices else ""
-        lines.append(
-            f"devices on UDP {udp.host}:{udp.port}, from {_describe_who(udp)}, at most {udp.max_connections}{believed}"
-        )
+        where = spelled(udp.host, udp.port)
+        lines.append(f"devices on UDP {where}, from {_describe_who(udp)}, at most {udp.max_connections}{believed}")
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
-    lines.append(f"programs on {'http' if api.certificate is None else 'https'}://{api.host}:{api.port}")
+    lines.append(f"programs on {'http' if api.certificate is None else 'https'}://{spelled(api.host, api.port)}")
     if config.ros1.master:
         node = "/".join(["", *filter(None, config.ros1.namespace.split("/")), config.ros1.name])
         lines.append(f"node {node} of the ROS 1 master at {config.ros1.master}")
@@ -230,6 +231,10 @@ def _suspicious(config: Config) -> Iterator[str]:
     yield from _shared_topics(config)
     yield from _shared_frames(config)
     yield from _suspicious_api(config)
+    folder = config.recording.folder or default_folder()
+    if (owner := owner_of(folder)) is not None:
+        advice = "this daemon keeps no recordings, incidents and drives until that one ends; set another folder"
+        yield f"recording.folder {folder} belongs to {owner}: {advice}"
     if config.zenoh is not None:
         from hostlink.graphs.zenoh.settings import settings_of, warnings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
 

@@ -13,6 +13,7 @@ from hostlink import logs
 from hostlink.cancellation import meanwhile
 from hostlink.cli.ending import Ending, stop_signals
 from hostlink.cli.output import show_progress, write
+from hostlink.cli.own_name import own_name
 from hostlink.cli.serve import running
 from hostlink.cli.serve_command import Origins, allow_origins, merge
 from hostlink.cli.sim import Kind
@@ -35,7 +36,7 @@ PAUSE_S = 5.0  # a person who has driven may want to watch before the demo conti
 LINE_INTERVAL_S = 0.2
 DRIVE = "/demo/drive"
 AS_MAKE = "make passes options on: make demo ARGS='--api 127.0.0.1:9091 --listen 127.0.0.1:11412'"
-START_AGAIN = f"the demo's driver was interrupted; to start it again: hostlink call {DRIVE}"
+START_AGAIN = "the demo's driver was interrupted; to start it again:"
 # docs/paper-robot.md#numbers
 PAPER_ROBOT = RobotConfig(kinematics="differential", wheel_separation_m=0.210, max_wheel_m_s=0.3436)
 
@@ -111,12 +112,14 @@ async def _demo(config: Config, robots: int, kind: RobotKind) -> None:
 
 
 def _welcome(api: str) -> tuple[str, ...]:
+    hostlink = own_name()
     return (
         f"hostlink runs: {api}  (open it in a browser)",
-        f"  drive     hostlink teleop --url {api}",
+        f"  drive     {hostlink} teleop --url {api}",
         f'  or        curl -X PUT {api}/api/robots/robot_0/velocity -d \'{{"linear": 0.1, "angular": 0.5}}\'',
         f"  read      curl {api}/api/robots/robot_0/odometry",
-        f"  stop      hostlink stop --url {api}  (then the demo drives again after: hostlink call {DRIVE} --url {api})",
+        f"  stop      {hostlink} stop --url {api}",
+        f"  again     {hostlink} call {DRIVE} --url {api}  (after a stop the demo waits for this)",
         "Ctrl-C ends it.",
     )
 
@@ -176,7 +179,7 @@ async def _show(hub: Hub, demo: DemoDriver, output: Output) -> None:
     while True:
         robots = hub.robots.here()
         for name in sorted(demo.stopped - told):
-            output.show(write, f"{name}: {START_AGAIN}")
+            output.show(write, f"{name}: {START_AGAIN} {own_name()} call {DRIVE}")
         told = set(demo.stopped)
         if robots:
             output.show(show_progress if is_terminal else write, "   ".join(map(_describe, robots[:2])))

@@ -22,6 +22,7 @@ from hostlink.protocol.control import (
     decode_parameter,
     decode_parameter_request,
     decode_topic_info,
+    to_device_key,
 )
 from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
@@ -169,8 +170,8 @@ class Inspection:
             connection.add_topic(info)
 
     def _add_message(self, connection: "_InspectedConnection", frame: Frame, *, is_to_device: bool) -> None:
-        info = connection.topics.get(frame.topic_id)
-        if info is None or info.is_to_device is not is_to_device:
+        info = connection.topics.get(to_device_key(frame.topic_id) if is_to_device else frame.topic_id)
+        if info is None:
             return
         if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER):
             series = self._to_device if is_to_device else self._messages
@@ -184,7 +185,7 @@ class Inspection:
             parameter = decode_parameter(frame.payload)
             if parameter is not None and connection.open_requests:
                 connection.open_requests.pop(0)["reply"] = _parameter_view(parameter)
-        elif frame.topic_id in connection.topics:
+        elif to_device_key(frame.topic_id) in connection.topics:
             self._add_message(connection, frame, is_to_device=True)
         elif frame.topic_id >= FIRST_TOPIC_ID:
             connection.early.append(frame)
@@ -204,15 +205,16 @@ class _InspectedConnection:
     """Streams and topics of one connection."""
 
     def __init__(self, fixed_bytes_of: Callable[[TopicInfo], int | None]) -> None:
-        self.topics: dict[int, TopicInfo] = {}
+        self.topics: dict[int, TopicInfo] = {}  # by `TopicInfo.key`
         self.reads = 0
         self.open_requests: list[dict[str, Any]] = []  # parameter requests without a reply
         self._requested_in_read = 0
         self.early: list[Frame] = []
         self._fixed_bytes_of = fixed_bytes_of
-        self._fixed_bytes: dict[int, int] = {}
-        self.from_device = FrameStream(fixed_bytes=self._fixed_bytes)
-        self.to_device = FrameStream(fixed_bytes=self._fixed_bytes, limit_bytes=MAX_PAYLOAD_BYTES)
+        self._fixed_from_device: dict[int, int] = {}
+        self._fixed_to_device: dict[int, int] = {}
+        self.from_device = FrameStream(fixed_bytes=self._fixed_from_device)
+        self.to_device = FrameStream(fixed_bytes=self._fixed_to_device, limit_bytes=MAX_PAYLOAD_BYTES)
 
     def request_parameter(self, request: dict[str, Any]) -> None:
         """Note a parameter request. A device makes one at a time, so requests of earlier reads were given up."""
@@ -222,12 +224,13 @@ class _InspectedConnection:
         self.open_requests.append(request)
 
     def add_topic(self, info: TopicInfo) -> None:
-        self.topics[info.topic_id] = info
+        self.topics[info.key] = info
         fixed_bytes = self._fixed_bytes_of(info)
+        known = self._fixed_to_device if info.is_to_device else self._fixed_from_device
         if fixed_bytes is None:
-            self._fixed_bytes.pop(info.topic_id, None)
+            known.pop(info.topic_id, None)
         else:
-            self._fixed_bytes[info.topic_id] = fixed_bytes
+            known[info.topic_id] = fixed_bytes
         buffers = (known.buffer_bytes for known in self.topics.values() if not known.is_to_device)
         self.from_device.limit_bytes = max(DEFAULT_LIMIT_BYTES, *buffers, 0)
 

@@ -9,6 +9,8 @@ import sys
 from collections.abc import Collection, Sequence
 from typing import Any, TextIO
 
+from hostlink.plain_text import plain
+
 _CLEAR_LINE = "\r\x1b[2K"
 _AS_JSON = "hostlink.json"  # error handler for characters that the terminal's encoding does not have
 _has_progress = False  # standard error ends in a line of `show_progress`
@@ -30,14 +32,6 @@ def _escape_unknown(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return "".join(json.dumps(char)[1:-1] for char in error.object[error.start : error.end]), error.end
-
-
-def plain(text: str) -> str:
-    """Return the text in one line, with unprintable characters escaped as in JSON: JSON keeps its meaning.
-
-    Escaped are control characters (ESC, C1), marks that change the direction of reading, and ends of lines.
-    """
-    return text if text.isprintable() else "".join(map(_escaped, text))
 
 
 def write(*lines: str) -> None:
@@ -110,10 +104,6 @@ def _fitting(line: str, terminal: TextIO) -> str:
         if columns := os.get_terminal_size(terminal.fileno()).columns:
             return line[: columns - 1]
     return line
-
-
-def _escaped(char: str) -> str:
-    return char if char.isprintable() else json.dumps(char)[1:-1]
 
 
 def _write(stream: TextIO, text: str) -> None:

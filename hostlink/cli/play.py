@@ -22,7 +22,7 @@ from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, Robot, connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, system_text
 from hostlink.recording.channel import DEVICE, ROS1, VELOCITY, Channel
-from hostlink.recording.playing import Due, DueVelocity, drives, is_drive, may_move, robots_of, schedule
+from hostlink.recording.playing import Due, DueVelocity, NewestDue, drives, is_drive, may_move, robots_of, schedule
 from hostlink.recording.reader import McapReader, StoredMessage, Wanted
 from hostlink.recording.tables import Decoders
 from hostlink.sim.played_device import PlayedDevice, PlayedTopic
@@ -262,20 +262,26 @@ def _first_of(file: Path, wanted: Wanted) -> str | None:
 
 
 async def drive_as_recorded(driven: Robot, file: Path, playback: Playback, recorded: str, topic: str) -> int:
-    """Drive as a robot of the recording was driven by this topic, then stop; return the number of velocities.
+    """Drive as a robot of the recording was driven by this topic, then stop; return the number of sent velocities.
 
     Raises:
         HostlinkError: a velocity is refused.
     """
 
+    newest = NewestDue()
+
     async def drive(due: DueVelocity) -> None:
         await driven.drive(due.velocity.x_m_s, due.velocity.yaw_rad_s, due.velocity.y_m_s)
 
-    def due_velocities() -> Iterator[DueVelocity]:
-        return drives(_schedule(file, playback, is_drive), recorded, topic, rate=playback.rate)
+    def due_velocities(clock: PlaybackClock) -> Iterator[DueVelocity]:
+        found = drives(_schedule(file, playback, is_drive), recorded, topic, rate=playback.rate)
+        return newest.of(found, lambda: clock.now_s)
 
     count = await _play(playback, "velocities", due_velocities, drive)
     await driven.stop(wait_s=0.0)
+    if newest.left_out:
+        left_out = quantity(newest.left_out, "velocity", "velocities")
+        write_error(f"{left_out} left out, because a newer one was due")
     return count
 
 
@@ -287,10 +293,14 @@ class PlaybackClock:
         self._playback, self._what = playback, what
         self._began_s, self._shown_s = asyncio.get_running_loop().time(), float("-inf")
 
+    @property
+    def now_s(self) -> float:
+        """Time since the start of the playback."""
+        return asyncio.get_running_loop().time() - self._began_s
+
     async def reach(self, at_s: float) -> None:
         """Sleep until a time of the recording; show the progress in long pauses, too."""
-        loop = asyncio.get_running_loop()
-        while (wait_s := self._began_s + at_s - loop.time()) > SOON_S:
+        while (wait_s := at_s - self.now_s) > SOON_S:
             await self.show()
             await asyncio.sleep(min(wait_s, PROGRESS_S))
 
@@ -341,17 +351,20 @@ async def _play_messages(file: Path, playback: Playback, wanted: Wanted, put: Pu
             await _ask(due)
         await put(due.message)
 
-    return await _play(playback, "messages", lambda: _schedule(file, playback, wanted), send)
+    return await _play(playback, "messages", lambda _: _schedule(file, playback, wanted), send)
 
 
 async def _play(
-    playback: Playback, what: str, read: Callable[[], Iterator[AnyDue]], put: Callable[[AnyDue], Awaitable[None]]
+    playback: Playback,
+    what: str,
+    read: Callable[[PlaybackClock], Iterator[AnyDue]],
+    put: Callable[[AnyDue], Awaitable[None]],
 ) -> int:
     """Put what is read when it is due, again and again if the playback is looped; return the number."""
     count = 0
     while True:
         clock = PlaybackClock(playback, what)
-        for due in read():
+        for due in read(clock):
             if not playback.is_stepped:
                 await clock.reach(due.at_s)
             await put(due)

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import dataclasses
 import errno
-import os
 import re
 import socket
 from collections.abc import Callable, Iterator
@@ -25,10 +24,10 @@ from hostlink.hub.device import check_type
 from hostlink.hub.hub import Hub
 from hostlink.listening import own_address
 from hostlink.messages.catalog import Catalog
+from hostlink.transport.port_users import PROC, find_user
 
 # -- port users -------------------------------------------------------------------------------------------------------
 
-PROC = Path("/proc")
 _LISTENS = "0A"
 _SOCKET = re.compile(r"socket:\[(\d+)\]")
 
@@ -36,13 +35,7 @@ _SOCKET = re.compile(r"socket:\[(\d+)\]")
 def user_of_port(port: int) -> str:
     """Return the process that listens on a TCP port: "rosserial_python (pid 1234)"; empty if unknown."""
     wanted = set(_listening_sockets(port))
-    return _user(lambda target: bool((found := _SOCKET.fullmatch(target)) and found[1] in wanted))
-
-
-def user_of_file(path: str) -> str:
-    """Return the process that has a file or a serial port open; empty if unknown."""
-    real = os.path.realpath(path)
-    return _user(lambda target: target == real)
+    return find_user(lambda target: bool((found := _SOCKET.fullmatch(target)) and found[1] in wanted))
 
 
 def _listening_sockets(port: int) -> Iterator[str]:
@@ -52,23 +45,6 @@ def _listening_sockets(port: int) -> Iterator[str]:
                 fields = line.split()
                 if int(fields[1].rpartition(":")[2], 16) == port and fields[3] == _LISTENS:
                     yield fields[9]
-
-
-def _user(is_it: Callable[[str], bool]) -> str:
-    for process in PROC.glob("[0-9]*"):
-        if int(process.name) == os.getpid():
-            continue
-        with contextlib.suppress(OSError):  # the process has ended, or belongs to another user
-            if any(is_it(_target(descriptor)) for descriptor in (process / "fd").iterdir()):
-                return f"{(process / 'comm').read_text().strip()} (pid {process.name})"
-    return ""
-
-
-def _target(descriptor: Path) -> str:
-    try:
-        return str(descriptor.readlink())
-    except OSError:
-        return ""
 
 
 # -- probe ------------------------------------------------------------------------------------------------------------
@@ -130,8 +106,6 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
     if found_for_s and baud not in port.bauds:
         wrong = finding("wrong_baud", f"the device answers at {baud} baud, not at {port.bauds[0]}")
         report["findings"] += finding_views([wrong])
-    if any(each["code"] == "serial_busy" for each in report["findings"]) and (user := user_of_file(port.name)):
-        report["findings"][0]["detail"] += f": {user}"
     return report
 
 

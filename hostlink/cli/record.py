@@ -169,6 +169,8 @@ async def _finish(host: Host, view: dict[str, Any], output: Path | None, *, as_j
         write(msgspec.json.encode(view | {"places": places}).decode())
     else:
         write(progress(view), *places)
+    if lost := view.get("removed"):
+        write_error(f"removed by another program during the recording: {', '.join(lost)}")
     if "failure" in view:
         raise HostlinkError(f"recording {view['name']} ended early: {view['failure']}")
 

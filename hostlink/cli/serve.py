@@ -32,7 +32,7 @@ from hostlink.hub.hub import Hub, Listening
 from hostlink.hub.reloader import Read, Reloader
 from hostlink.hub.robots import Robots
 from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
-from hostlink.listening import close_all
+from hostlink.listening import close_all, spelled
 from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -97,9 +97,9 @@ async def running(
             _graphs(hub, config, on_graph_end),
             _listening(hub, config, recordings, reloader, listening, on_listening) as addresses,
         ):
-            udp = {} if addresses.udp is None else {"udp": "{}:{}".format(*addresses.udp)}
+            udp = {} if addresses.udp is None else {"udp": spelled(*addresses.udp)}
             loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
-            log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api, loop=loop, **udp)
+            log.info("daemon.started", tcp=spelled(*addresses.tcp), api=addresses.api, loop=loop, **udp)
             try:
                 yield hub, addresses
             except Exception as error:

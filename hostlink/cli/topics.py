@@ -39,6 +39,7 @@ from hostlink.cli.names import listed, natural, similar, unknown
 from hostlink.cli.output import duration, is_terminal, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.errors import ConfigError, HostlinkError, WrongType, size
+from hostlink.plain_text import csv_text
 
 # -- services and types -----------------------------------------------------------------------------------------------
 
@@ -176,8 +177,9 @@ def _fact_lines(found: dict[str, Any]) -> list[str]:
 
 # -- info -------------------------------------------------------------------------------------------------------------
 
-_RECORDING = ".mcap"
-_BAG_METADATA = "metadata.yaml"  # of a folder of rosbag2
+_RECORDING = (".mcap", ".bag", ".bag.active", ".db3")
+_IN_FOLDER = (*_RECORDING, "metadata.yaml")  # the last one is of a folder of rosbag2
+PARTS_OF_TOPIC = 2  # "/run" has two parts
 
 
 def info(
@@ -208,10 +210,17 @@ def info(
 
 
 def is_recording(name: str) -> bool:
-    """Whether `name` is a file or a folder of rosbag2, rather than a name of the graph."""
+    """Whether `name` is a file or a folder of recordings, rather than a name of the graph.
+
+    A topic may have the name of a folder, such as /run. Such a folder needs recordings in it.
+    """
     try:
-        return name.endswith(_RECORDING) or Path(name).is_file() or (Path(name) / _BAG_METADATA).is_file()
-    except (OSError, ValueError):  # the name is too long for a file, or has a zero byte
+        path = Path(name)
+        if name.endswith(_RECORDING) or path.is_file():
+            return True
+        is_path = name.startswith((".", "~")) or len(path.parts) > PARTS_OF_TOPIC or name.endswith("/")
+        return path.is_dir() and (is_path or any(each.name.endswith(_IN_FOLDER) for each in path.iterdir()))
+    except (OSError, ValueError):  # the name is too long for a file, or has a zero byte; or the folder is private
         return False
 
 
@@ -529,9 +538,13 @@ def csv_line(cells: Iterable[Any]) -> str:
     """Return a line of CSV; lists are JSON."""
     line = io.StringIO()
     csv.writer(line, lineterminator="").writerow(
-        json_text.dumps(cell) if isinstance(cell, list | dict | bool) else cell for cell in cells
+        json_text.dumps(cell) if isinstance(cell, list | dict | bool) else _csv_cell(cell) for cell in cells
     )
     return line.getvalue()
+
+
+def _csv_cell(value: Any) -> Any:
+    return csv_text(value) if isinstance(value, str) else value
 
 
 def readable(value: Any) -> Any:
@@ -854,6 +867,7 @@ def pub(
 
 
 PUB_RATE_HZ = 10.0
+VELOCITY_HOLDS_S = 0.5  # the lease of robot/admission.py
 
 
 def message_count(rate_hz: float | None, count: int | None, *, once: bool) -> int:
@@ -969,6 +983,8 @@ async def _pub(
             if sent > rate_hz * PATIENCE_S and not sent % max(1, round(rate_hz)):
                 show_progress(f"{sent} sent{f' of {publishing.count}' if publishing.count else ''}; Ctrl-C ends")
         await host.settle()
+        if publishing.count > 1:  # the last velocity lasts as long as the others: ten at 10 Hz drive for a second
+            await asyncio.sleep(min(1 / publishing.rate_hz, VELOCITY_HOLDS_S))
 
 
 async def _write_if_unheard(host: Host, topic: str, type_name: str) -> None:

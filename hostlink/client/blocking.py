@@ -7,6 +7,7 @@ import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 
+from hostlink.client.driver import IDLE_TIMEOUT_S
 from hostlink.client.host import DEFAULT_URL, Host, connect
 from hostlink.client.loop_thread import LoopThread, Messages, Opened, PlainAnswer, Stream, in_thread
 from hostlink.client.mailbox import Mailbox
@@ -235,6 +236,7 @@ def connect_blocking(
     ssl: ssl.SSLContext | None = None,
     reconnect: bool = True,
     group: str = "",
+    idle_timeout_s: float = IDLE_TIMEOUT_S,
 ) -> BlockingHost:
     """A connection to hostlink for programs without asyncio: `with connect_blocking() as host:`.
 
@@ -245,4 +247,5 @@ def connect_blocking(
     Raises:
         HostlinkError: there is no hostlink at `url`, or it refuses.
     """
-    return BlockingHost(LoopThread(connect(url, token=token, ssl=ssl, reconnect=reconnect, group=group)))
+    connecting = connect(url, token=token, ssl=ssl, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s)
+    return BlockingHost(LoopThread(connecting))

@@ -49,7 +49,9 @@ class HostConnection:
         )  # by op, for messages that do not answer a `request`
         self.on_open: list[Callable[[], Awaitable[None]]] = []
         self.on_lost: list[Callable[[HostlinkError], None]] = []
-        self._kept: dict[str, Mapping[str, Any]] = {}  # requests that are sent again after each reconnection
+        # Requests of blocks by key, the newest last. After each reconnection the newest of each key is sent again.
+        self._kept: dict[str, dict[object, Mapping[str, Any]]] = {}
+        self.callers = http.callers
         self._http = http
         self._reconnects, self._group = reconnects, group
         self._socket: aiohttp.ClientWebSocketResponse | None = None
@@ -67,9 +69,9 @@ class HostConnection:
         self._socket = await self._http.open_socket(self._group)
         self.is_connected = True
         await self.send({"op": "set_level", "level": "error"})  # so that refusals are reported
-        for key, request in list(self._kept.items()):
-            if self._kept.get(key) is request:  # else it has ended meanwhile
-                await self.send(request)
+        for key in list(self._kept):
+            if key in self._kept:  # else it has ended meanwhile
+                await self.send(_newest(self._kept[key]))
         for restore in self.on_open:
             await restore()
         self._is_open.set()
@@ -89,6 +91,7 @@ class HostConnection:
         Raises:
             HostlinkError: there is no connection, or something in it has no JSON.
         """
+        self.callers.note()
         if self._socket is None or not self.is_connected:
             raise self.lost()
         text = encode(request).decode()
@@ -101,20 +104,25 @@ class HostConnection:
     async def keeping(self, key: str, request: Mapping[str, Any], withdrawal: Mapping[str, Any]) -> AsyncIterator[None]:
         """Send a request, also after each reconnection, for the length of the block; then send its withdrawal.
 
-        A later request with this key replaces it; then its end withdraws nothing.
+        Of several blocks with one key, the newest that lasts is in force; the last one to end sends the withdrawal.
 
         Raises:
             HostlinkError: there is no connection.
         """
-        await self.send(request)
-        self._kept[key] = request
+        block = object()
+        self._kept.setdefault(key, {})[block] = request
         try:
+            await self.send(request)
             yield
         finally:
-            if self._kept.get(key) is request:
+            kept = self._kept[key]
+            is_in_force = _newest(kept) is request
+            del kept[block]
+            if not kept:
                 del self._kept[key]
+            if not kept or is_in_force:
                 with contextlib.suppress(HostlinkError):  # with the connection gone, so is what was requested
-                    await self.send(withdrawal)
+                    await self.send(_newest(kept) if kept else withdrawal)
 
     async def request(self, request: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Message:
         """Send an operation that is answered.
@@ -133,6 +141,7 @@ class HostConnection:
             raise HostlinkError(f"hostlink at {self._http.url} did not answer within {timeout_s:g} s") from None
         finally:
             del self._answers[key]
+            self.callers.note()
         if answer is None:
             raise self.lost()
         if answer["op"] == "status":
@@ -258,6 +267,10 @@ class HostConnection:
             else:
                 return
             await self._discard()
+
+
+def _newest(kept: dict[object, Mapping[str, Any]]) -> Mapping[str, Any]:
+    return next(reversed(kept.values()))
 
 
 def refused_by(status: Message) -> Refused:

@@ -5,15 +5,15 @@ What is broken off is never resumed.
 
 import asyncio
 import contextlib
-import contextvars
 import itertools
+import logging
 import math
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from hostlink.client.callers import Callers, calling_thread
 from hostlink.client.connection import HostConnection, Message
 from hostlink.client.http_client import CLOSE_TIMEOUT_S
 from hostlink.client.views import Driven, MotionKind, Refusal
@@ -25,15 +25,9 @@ REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
 _COMMAND = "command:"
 
 ANSWER_TIMEOUT_S = 1.0
-_CLOCK = getattr(
-    time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC
-)  # it also counts while the computer sleeps, where the system has such a clock
-calling_thread: contextvars.ContextVar[threading.Thread | None] = contextvars.ContextVar("calling_thread", default=None)
+IDLE_TIMEOUT_S = 10.0  # a loop of a program calls more often, and a person notices a robot that does not stop
 
-
-def boot_s() -> float:
-    """Seconds since this computer was started, with those that it slept."""
-    return time.clock_gettime(_CLOCK)
+log = logging.getLogger("hostlink.client")  # Python prints its warnings, if the program has not set up logging
 
 
 class Broken(NamedTuple):
@@ -73,7 +67,8 @@ class Repeated:
     sent_s: float
     epoch: int | None = None  # of the robot that accepted it; None: not answered yet
     thread: threading.Thread | None = field(default_factory=calling_thread.get)  # None: the connection's own
-    is_kept: bool = False  # after the end of a notebook's cell
+    is_kept: bool = False  # after the end of a notebook's cell, and without calls of the program
+    is_motion: bool = False  # which ends by itself
     task: asyncio.Task[Any] | None = field(default_factory=asyncio.current_task)  # that called `drive`
 
     def is_of_ended_thread(self) -> bool:
@@ -92,15 +87,20 @@ class VelocitySender:
     """Velocities that this client commands.
 
     A repeated command ends by the next `drive` or `stop`; it is broken off by a refusal, by the loss of the connection,
-    by a new connection of the robot's device, and when this program did not run, or could not send, for longer than a
-    command holds. Then the robot stops, and the next `drive` raises why, once, instead of driving.
+    by a new connection of the robot's device, when this program did not run, or could not send, for longer than a
+    command holds, and when the program made no call for `idle_timeout_s`. Then the robot stops, and the next `drive`
+    raises why, once, instead of driving.
     """
 
-    def __init__(self, connection: HostConnection, clock: Callable[[], float] = boot_s) -> None:
-        """`clock`: in seconds; it also counts while the computer sleeps."""
+    def __init__(
+        self, connection: HostConnection, callers: Callers | None = None, *, idle_timeout_s: float = IDLE_TIMEOUT_S
+    ) -> None:
+        """`callers`: the calls of the program, and the clock."""
         self.refusals: dict[str, Refusal | None] = {}  # by robot: of the newest answered `command`
         self.client_name: str | None = None  # as the daemon's newest answer calls this connection
-        self._connection, self._now_s = connection, clock
+        self._connection = connection
+        self._callers = Callers() if callers is None else callers
+        self._now_s, self._idle_timeout_s = self._callers.now_s, idle_timeout_s
         self._numbers = itertools.count(1)
         self._repeated: dict[str, Repeated] = {}
         self._broken: dict[str, _Ended] = {}
@@ -122,12 +122,13 @@ class VelocitySender:
     ) -> Driven:
         """Command, and repeat it from now on; returns when the daemon has accepted it.
 
-        `number`: of this call, from `next_number`.
+        `number`: of a motion, from `next_number`; it ends by itself.
 
         Raises:
             HostlinkError: it was refused, and nothing is repeated; or what was repeated before was broken off.
         """
-        before = self._repeated.get(robot)
+        self._callers.note()
+        before, is_motion = self._repeated.get(robot), number is not None
         number = self.next_number() if number is None else number
         self._newest[robot] = number
         try:
@@ -138,7 +139,8 @@ class VelocitySender:
         if (ended := self._broken.pop(robot, None)) is not None:
             await self._tell(robot, priority)
             raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {ended.broken.reason}")
-        repeated = self._repeated[robot] = Repeated(number, request, self._now_s(), is_kept=is_kept)
+        repeated = Repeated(number, request, self._now_s(), is_kept=is_kept, is_motion=is_motion)
+        self._repeated[robot] = repeated
         try:
             answer = await self._command(repeated, before)
             driven = _driven(answer)
@@ -298,6 +300,7 @@ class VelocitySender:
         while True:
             await asyncio.sleep(REPEAT_INTERVAL_S)
             self.notice_sleep()
+            await self._end_idle()
             for robot, repeated in list(self._repeated.items()):
                 if repeated.epoch is not None and self._repeated.get(robot) is repeated:
                     await self._repeat(robot, repeated)
@@ -313,6 +316,21 @@ class VelocitySender:
                 reason = f"this program did not run, or could not send, for {quiet_s:.1f} s"
                 self._break(robot, Broken(MotionKind.ASLEEP, reason))
         self._ran_s = now_s
+
+    async def _end_idle(self) -> None:
+        """Break off what a thread or task of the program drives that makes no call: it may hang."""
+        for robot, repeated in list(self._repeated.items()):
+            if repeated.epoch is None or repeated.is_kept or repeated.is_motion:
+                continue
+            idle_s = self._now_s() - self._callers.called_s(repeated.thread, repeated.task)
+            if idle_s > self._idle_timeout_s and self._repeated.get(robot) is repeated:
+                reason = f"the program made no call for {idle_s:.1f} s"
+                advice = "drive(..., keep=True) drives on without calls, connect(idle_timeout_s=...) sets the time"
+                self._break(robot, Broken(MotionKind.ASLEEP, f"{reason}; {advice}"))
+                log.warning("%s stopped: %s; %s", robot, reason, advice)
+                zero = {"linear": 0.0, "angular": 0.0, "linear_y": 0.0, "id": f"zero:{robot}", "reason": reason}
+                with contextlib.suppress(HostlinkError):  # without a connection the daemon stops it
+                    await self._connection.send({**repeated.request, **zero})
 
     async def _repeat(self, robot: str, repeated: Repeated) -> None:
         now_s = repeated.sent_s = self._sent_s[robot] = self._now_s()

@@ -11,9 +11,10 @@ from types import TracebackType
 from typing import Any, NoReturn, cast
 
 from hostlink.cancellation import raise_if_cancelled
+from hostlink.client.callers import own_context
 from hostlink.client.cells import Names, watch_cells, watched
 from hostlink.client.connection import HostConnection
-from hostlink.client.driver import Repeated, VelocitySender
+from hostlink.client.driver import IDLE_TIMEOUT_S, Repeated, VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, DEFAULT_PORT, REQUEST_TIMEOUT_S, HttpClient, measured
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
@@ -21,7 +22,7 @@ from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import RAW, Graphs, GraphWatch, RawSubscription, Subscription, Topics, read_raw
 from hostlink.client.type_names import TypeName, type_name_of
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
-from hostlink.errors import HostlinkError
+from hostlink.errors import BadRequest, HostlinkError
 from hostlink.robot.standstill import Standstill
 
 # -- host -------------------------------------------------------------------------------------------------------------
@@ -30,7 +31,9 @@ from hostlink.robot.standstill import Standstill
 class Host:
     """A running hostlink. Get one from `connect`."""
 
-    def __init__(self, http: HttpClient, *, reconnect: bool, group: str = "") -> None:
+    def __init__(
+        self, http: HttpClient, *, reconnect: bool, group: str = "", idle_timeout_s: float = IDLE_TIMEOUT_S
+    ) -> None:
         self.url = http.url
         self._http = http
         self._connection = HostConnection(http, reconnects=reconnect, group=group)
@@ -38,7 +41,7 @@ class Host:
         self._topics = Topics(self._connection)
         self._services = ProvidedServices(self._connection)
         self._graph = GraphWatch(self._connection)
-        self._driver = VelocitySender(self._connection)
+        self._driver = VelocitySender(self._connection, http.callers, idle_timeout_s=idle_timeout_s)
         self._connection.on_open.append(self._report_return)
         self._ends_when_lost = not reconnect
         self._tasks: asyncio.TaskGroup | None = None  # while `running`
@@ -55,8 +58,9 @@ class Host:
                 self._services.begin(tasks)
                 self._tasks, self._loop = tasks, asyncio.get_running_loop()
                 watch_cells(self)
-                reader = tasks.create_task(self._connection.run(), name="reader")
-                repeater = tasks.create_task(self._driver.repeat(), name="repeater")
+                own = own_context()
+                reader = tasks.create_task(self._connection.run(), name="reader", context=own)
+                repeater = tasks.create_task(self._driver.repeat(), name="repeater", context=own)
                 try:
                     yield
                 finally:
@@ -249,7 +253,7 @@ class Host:
 
     def connection(self) -> Mailbox[ConnectionChange]:
         """Each loss and each return of the connection from now on, with the robots whose velocity was dropped."""
-        watcher: Mailbox[ConnectionChange] = Mailbox("changes of the connection")
+        watcher: Mailbox[ConnectionChange] = Mailbox("changes of the connection", self._connection.callers.note)
         self._watchers.add(watcher)
         return watcher
 
@@ -371,19 +375,23 @@ def connect(
     ssl: ssl.SSLContext | None = None,
     reconnect: bool = True,
     group: str = "",
+    idle_timeout_s: float = IDLE_TIMEOUT_S,
 ) -> "Connecting":
     """A connection to hostlink for the length of the block. Leaving it stops every robot that it drives.
 
     `url`: http, https, ws or wss. `token`: one of the daemon's configuration, also as `?token=` in the URL.
     `ssl`: trust a certificate of your own. `reconnect`: when the connection is lost it is made again, subscriptions
     and advertisements too, velocities never; without it, every wait for a message raises. `group`: of a bridge
-    to another graph, as ROS 2: it receives nothing that a connection of the same group has published.
+    to another graph, as ROS 2: it receives nothing that a connection of the same group has published. `idle_timeout_s`:
+    a robot that the program drives stops when the thread (with asyncio the task) that drives it makes no call of the
+    connection for so long; `math.inf`: never.
 
     Raises:
         HostlinkError: when the block begins: there is no hostlink at `url`, or it refuses. At its end: a message that
             was published in it was refused.
     """
-    return Connecting(url, _connected(url, token, ssl, reconnect=reconnect, group=group))
+    connected = _connected(url, token, ssl, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s)
+    return Connecting(url, connected)
 
 
 class Connecting(contextlib.AbstractAsyncContextManager[Host]):
@@ -423,11 +431,19 @@ class Connecting(contextlib.AbstractAsyncContextManager[Host]):
 
 @contextlib.asynccontextmanager
 async def _connected(
-    url: str, token: str | None, context: ssl.SSLContext | None, *, reconnect: bool, group: str
+    url: str,
+    token: str | None,
+    context: ssl.SSLContext | None,
+    *,
+    reconnect: bool,
+    group: str,
+    idle_timeout_s: float,
 ) -> AsyncIterator[Host]:
+    if not idle_timeout_s > 0.0:
+        raise BadRequest(f"idle_timeout_s is {idle_timeout_s:g}; pass a positive number of seconds, or math.inf")
     http = HttpClient(url, token, context)
     try:
-        host = Host(http, reconnect=reconnect, group=group)
+        host = Host(http, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s)
         async with host.running():
             yield host
     finally:

@@ -11,6 +11,7 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 import aiohttp
 import msgspec
 
+from hostlink.client.callers import Callers
 from hostlink.client.views import Event
 from hostlink.errors import ConfigError, HostlinkError, Refused
 from hostlink.robot.standstill import Standstill, StandstillState
@@ -104,6 +105,7 @@ class HttpClient:
             headers={"Authorization": f"Bearer {token}"} if token else None,
             connector=aiohttp.TCPConnector(ssl=context),
         )
+        self.callers = Callers()
         self._streams: weakref.WeakSet[aiohttp.ClientResponse] = weakref.WeakSet()
 
     async def aclose(self) -> None:
@@ -145,6 +147,7 @@ class HttpClient:
         """
         data = None if body is None else encode(body)
         headers = None if body is None else _JSON
+        self.callers.note()
         try:
             async with (
                 asyncio.timeout(timeout_s),
@@ -155,6 +158,8 @@ class HttpClient:
             raise HostlinkError(f"hostlink at {self.url} did not answer within {timeout_s:g} s") from error
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
+        finally:
+            self.callers.note()
 
     async def measure(self, path: str, wait_s: float) -> Standstill:
         """Measure a robot after a stop. Without an answer the state is unknown; the stop remains valid."""
@@ -176,7 +181,9 @@ class HttpClient:
                 if response.status != HTTPStatus.OK:
                     self._read(response.status, await response.read())
                 async for piece in response.content.iter_chunked(64 * 1024):
+                    self.callers.note()
                     yield piece
+                    self.callers.note()
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
 
@@ -195,7 +202,9 @@ class HttpClient:
                 stream = EventStream()
                 async for chunk in response.content.iter_any():
                     for event in stream.feed(chunk):
+                        self.callers.note()
                         yield event
+                        self.callers.note()
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
 

@@ -31,8 +31,9 @@ from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, 
 from types import TracebackType
 from typing import Any, TypeVar
 
+from hostlink.client.callers import thread_context
 from hostlink.client.cells import STOP_TIMEOUT_S, Names, watch_cells, watched
-from hostlink.client.driver import Repeated, calling_thread
+from hostlink.client.driver import Repeated
 from hostlink.client.host import Connecting, Host
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.services import Answer, Values
@@ -147,8 +148,7 @@ class LoopThread:
         if os.getpid() != self._process:
             work.close()
             raise HostlinkError("this connection belongs to the process that forked this one: connect here, too")
-        calling_thread.set(threading.current_thread())  # `work` begins with a copy of this context
-        call = self._life.begin(work)
+        call = thread_context().run(self._life.begin, work)
         try:
             if wait is not None:
                 wait(call)

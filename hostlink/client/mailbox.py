@@ -1,6 +1,7 @@
 """Mailbox: bounded queue of one reader, as an asynchronous iterator. The oldest item is dropped and counted."""
 
 import asyncio
+from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from hostlink.errors import HostlinkError
@@ -13,9 +14,10 @@ Item = TypeVar("Item")
 class Mailbox(Generic[Item]):
     """Iterate over it with `async for`; `dropped` counts what the reader was too slow for."""
 
-    def __init__(self, name: str = "") -> None:
-        """`name`: of the content, for people."""
+    def __init__(self, name: str = "", on_read: Callable[[], None] = lambda: None) -> None:
+        """`name`: of the content, for people. `on_read` is called when the reader asks, and when it gets an item."""
         self.name = name
+        self._on_read = on_read
         self.dropped = 0
         self._queue: asyncio.Queue[Item | HostlinkError] = asyncio.Queue(MAX_ITEMS)
 
@@ -32,6 +34,7 @@ class Mailbox(Generic[Item]):
         Raises:
             HostlinkError: the error that ends the iteration is among it.
         """
+        self._on_read()
         found: list[Item] = []
         while not self._queue.empty():
             item = self._queue.get_nowait()
@@ -47,7 +50,9 @@ class Mailbox(Generic[Item]):
         return self
 
     async def __anext__(self) -> Item:
+        self._on_read()
         item = await self._queue.get()
+        self._on_read()
         if isinstance(item, HostlinkError):
             raise item
         return item

@@ -152,9 +152,8 @@ class CoursePilot:
             self.reason = f"the odometry did not advance for {STUCK_S:g} s; look for an obstacle or a failing encoder"
         elif self._follower.is_done:
             self.outcome = MotionOutcome.REACHED
-        linear_m_s = self._way * min(linear_m_s, speed.linear_m_s)  # the follower's lowest speed may be higher
-        limit_rad_s = speed.angular_rad_s
-        return PlanarVelocity(linear_m_s, 0.0, max(-limit_rad_s, min(limit_rad_s, angular_rad_s)))
+        limit_rad_s = speed.angular_rad_s  # a line is followed by turning, too
+        return PlanarVelocity(self._way * linear_m_s, 0.0, max(-limit_rad_s, min(limit_rad_s, angular_rad_s)))
 
     def _is_reset(self, step_m: float, step_rad: float, passed_s: float) -> bool:
         """Whether a step to the origin is a reset: poses are never more than SILENCE_S late."""

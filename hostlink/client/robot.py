@@ -33,6 +33,7 @@ class Robot:
     @property
     def is_driven(self) -> bool:
         """Whether this connection holds a velocity of the robot."""
+        self._connection.callers.note()
         return self.name in self._driver.robots
 
     @property
@@ -88,18 +89,20 @@ class Robot:
 
         m/s forward, rad/s counter-clockwise, m/s to the left. Returns when the daemon has accepted the command, with
         what the robot's limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and
-        continues to drive; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
+        continues to drive; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does, and
+        so do 10 s without a call of the thread (with asyncio of the task) that drives: `connect` has `idle_timeout_s`.
 
         With `for_s` it returns when the time is over and a zero was sent, or when something has stopped the robot
-        earlier: a Motion whose `outcome` is `reached` or `stopped`. With `keep` the robot drives on after the end of a
-        notebook's cell, which else stops it.
+        earlier: a Motion whose `outcome` is `reached` or `stopped`. With `keep` the robot drives on without calls, and
+        after the end of a notebook's cell, which else stops it.
 
         Raises:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, a source
                 with a higher priority drives it or it is locked, the numbers are not finite, it cannot move sideways,
                 there is no connection to hostlink. Also once after the velocity that was held before was dropped: by a
-                cut of the connection, by such a refusal, by a stop, because the robot's device connected again, or this
-                program did not run, or could not send, for half a second. The `drive()` after that one drives again.
+                cut of the connection, by such a refusal, by a stop, because the robot's device connected again, this
+                program did not run, or could not send, for half a second, or made no call for `idle_timeout_s`. The
+                `drive()` after that one drives again.
             CommandRefused: one of these, with `kind` for programs.
         """
         velocity = PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s)
@@ -172,6 +175,7 @@ class Robot:
     @property
     def refusal(self) -> Refusal | None:
         """Reason why the newest answered `command` was refused; None if it was accepted."""
+        self._connection.callers.note()
         return self._driver.refusals.get(self.name)
 
     async def stop(self, *, wait_s: float = WAIT_S) -> Standstill:

@@ -19,7 +19,7 @@ class ProvidedServices:
 
     def __init__(self, connection: HostConnection) -> None:
         self._connection = connection
-        self._answers: dict[str, tuple[str, Answer]] = {}  # by service: its type, and who answers
+        self._answers: dict[str, dict[object, Answer]] = {}  # of blocks, by service; the newest one answers
         self._tasks: asyncio.TaskGroup | None = None
         self._calls: set[asyncio.Task[None]] = set()
         connection.handlers["call_service"].append(self._receive)
@@ -44,11 +44,13 @@ class ProvidedServices:
         request = {"op": "advertise_service", "id": f"provide:{service}", "service": service, "type": type_name}
         withdrawal = {"op": "unadvertise_service", "service": service}
         async with self._connection.keeping(f"provide:{service}", request, withdrawal):
-            mine = self._answers[service] = (type_name, answer)
+            block = object()
+            self._answers.setdefault(service, {})[block] = answer
             try:
                 yield
             finally:
-                if self._answers.get(service) is mine:  # else it was offered again meanwhile
+                del self._answers[service][block]
+                if not self._answers[service]:
                     del self._answers[service]
 
     def _receive(self, call: Message) -> None:
@@ -69,13 +71,13 @@ class ProvidedServices:
                 await self._connection.send(response | {"values": str(error), "result": False})
 
     async def _values(self, call: Message) -> tuple[Mapping[str, Any] | str, bool]:
-        _, answer = self._answers.get(str(call["service"]), ("", None))
-        if answer is None:
+        answers = self._answers.get(str(call["service"]))
+        if answers is None:
             return "it is not offered any more", False
         if len(self._calls) > MAX_CALLS:
             return f"more than {MAX_CALLS} calls under way", False
         try:
-            values = answer(call["args"])
+            values = next(reversed(answers.values()))(call["args"])
             if inspect.isawaitable(values):
                 values = await values
         except HostlinkError as error:

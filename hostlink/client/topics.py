@@ -94,7 +94,7 @@ class Topics:
         key = f"subscribe:{next(self._numbers)}"
         request = {"op": "subscribe", "id": key, "topic": topic, **options, **_typed(type_name)}
         async with self._connection.keeping(key, request, {"op": "unsubscribe", "id": key, "topic": topic}):
-            mailbox: Mailbox[Item] = Mailbox(topic)
+            mailbox: Mailbox[Item] = Mailbox(topic, self._connection.callers.note)
             self._subscribed[key] = _Subscribed(topic, read, mailbox)
             try:
                 yield mailbox
@@ -147,7 +147,7 @@ class GraphWatch:
         Raises:
             HostlinkError: there is no connection.
         """
-        watcher: Graphs = Mailbox("the graph")
+        watcher: Graphs = Mailbox("the graph", self._connection.callers.note)
         self._watchers.add(watcher)
         await self._request()
         return watcher

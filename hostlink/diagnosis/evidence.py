@@ -57,6 +57,18 @@ def port_finding(error: OSError) -> Finding:
     return finding(_CODES.get(error.errno or 0, "serial_unusable"), error.strerror or str(error))
 
 
+class PortSharing(NamedTuple):
+    """Signs of another program at the link's serial port."""
+
+    names: tuple[str, ...] = ()  # programs that have the port open
+    has_login: bool = False  # the port is the terminal of one of them, or the kernel's console
+    lost_reads: int = 0  # lately another program read what had come for the host
+    has_changed_settings: bool = False  # lately another program changed the port's settings
+
+
+UNSHARED = PortSharing()
+
+
 # -- evidence ---------------------------------------------------------------------------------------------------------
 
 RECENT_S = 30.0  # twelve time requests of a device: older trouble is over
@@ -108,6 +120,7 @@ class Evidence:
     time_requested_s: float | None = None  # since the last time request that the host did not provoke
     time_intervals_s: tuple[float, ...] = ()  # between unprovoked time requests
     stamps_behind_s: float | None = None  # arrival time minus the device's header stamps
+    sharing: PortSharing = UNSHARED  # of a serial port
     early_non_rosserial: bytes = b""  # last bytes skipped before the first negotiation
     non_rosserial: bytes = b""  # recently skipped bytes
     is_protocol_1: bool = False

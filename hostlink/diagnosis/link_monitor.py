@@ -6,7 +6,15 @@ import re
 from array import array
 from bisect import bisect_left
 
-from hostlink.diagnosis.evidence import NO_COUNTS, RECENT_S, Complaint, EarlierLink, Evidence, Tally
+from hostlink.diagnosis.evidence import (
+    NO_COUNTS,
+    RECENT_S,
+    UNSHARED,
+    Complaint,
+    EarlierLink,
+    Evidence,
+    Tally,
+)
 from hostlink.host_pauses import HostPauses
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
@@ -68,11 +76,12 @@ class LinkMonitor:
         "_complaints", "_device_complaint", "_early_non_rosserial", "_excluded", "_fell_silent", "_intervals_s",
         "_is_fresh", "_is_provoked", "_negotiated_at_s", "_opened_at_s", "_previous_at_s", "_revived_at_s", "_samples",
         "_session", "_signal", "_stamps_behind_s", "_time_requested_at_s", "_unknown_before", "_was_host_away", "baud",
-        "firmware",
+        "firmware", "sharing",
     )  # fmt: skip
 
     def __init__(self, session: Session, *, now_s: float) -> None:
         self.baud: int | None = None  # of a serial port
+        self.sharing = UNSHARED  # of a serial port
         self._session = session
         self._opened_at_s = now_s
         self._samples = _Samples(now_s, NO_COUNTS)
@@ -196,6 +205,7 @@ class LinkMonitor:
             time_requested_s=_ago(self._time_requested_at_s, now_s, host),
             time_intervals_s=tuple(self._intervals_s),
             stamps_behind_s=self._stamps(),
+            sharing=self.sharing,
             early_non_rosserial=self._early_non_rosserial,
             non_rosserial=session.non_rosserial.tail[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
             is_protocol_1=session.non_rosserial.is_protocol_1,
@@ -253,10 +263,10 @@ class LinkMonitor:
         """List what exceeds a buffer: by announced sizes, refused frames and the device's log."""
         fixed_bytes = self._session.fixed_bytes
         announced = [
-            f"{info.name}: a frame of {fixed_bytes[info.topic_id] + OVERHEAD_BYTES} bytes, the device takes "
+            f"{info.name}: a frame of {fixed_bytes[info.key] + OVERHEAD_BYTES} bytes, the device takes "
             f"{info.buffer_bytes}"
             for info in self._session.topics
-            if _is_too_small(info, fixed_bytes.get(info.topic_id))
+            if _is_too_small(info, fixed_bytes.get(info.key))
         ]
         return [text for text in (*announced, self._session.too_large, self._device_complaint) if text]
 

@@ -49,7 +49,7 @@ def diagnose(evidence: Evidence) -> list[Finding]:
         if detail is not None:
             found[code] = detail
     non_rosserial = _non_rosserial(evidence)
-    if non_rosserial is not None:
+    if non_rosserial is not None and "serial_shared" not in found:  # which damages what is left
         found[non_rosserial[0]] = non_rosserial[1]
     return [finding(code, found[code]) for code in words() if code in found]
 
@@ -105,6 +105,24 @@ def _excerpt(sample: bytes) -> str:
 
 
 _TEXT_BYTES = frozenset(b"\t\n\r\x1b") | frozenset(range(0x20, 0x7F))
+
+
+# -- serial ports -----------------------------------------------------------------------------------------------------
+
+
+def _serial_shared(evidence: Evidence) -> str | None:
+    """Detect another program at the port by what it took, by what it may have damaged, or because it is a login."""
+    sharing, recent = evidence.sharing, evidence.recent
+    has_taken = sharing.lost_reads > 0 or sharing.has_changed_settings
+    is_damaged = recent.skipped_bytes >= NON_ROSSERIAL_BYTES or recent.bad_checksums > 0 or _no_bytes(evidence)
+    if not has_taken and not sharing.has_login and not (sharing.names and is_damaged):
+        return None
+    facts = [", ".join(sharing.names) or "a program that this user cannot see"]
+    if sharing.lost_reads:
+        facts.append(f"{sharing.lost_reads} reads were lost to it")
+    if sharing.has_changed_settings:
+        facts.append("it changed the port's settings")
+    return "; ".join(facts)
 
 
 # -- what the session counted -----------------------------------------------------------------------------------------
@@ -186,6 +204,7 @@ def _flashed_alike(evidence: Evidence) -> str | None:
 
 _ENDS = {"refused": "too_many_robots", "crashed": "host_fault", "unanswerable": "unanswerable"}  # of the link
 _RULES: dict[str, Rule] = {
+    "serial_shared": _serial_shared,
     "no_bytes": _no_bytes,
     "no_topics": _no_topics,
     "wrong_md5": _wrong_md5,

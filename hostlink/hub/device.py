@@ -108,7 +108,7 @@ class Device:
 
     __slots__ = (
         "_awaited", "_hub", "_observers", "_odometry", "diagnosis", "drivables", "early", "guarded_ids",
-        "infos", "is_undecided", "link", "names", "parameters", "presence", "robot", "routes",
+        "infos", "is_undecided", "link", "lost", "names", "parameters", "presence", "robot", "routes",
         "services", "shown",
     )  # fmt: skip
 
@@ -119,7 +119,8 @@ class Device:
         self.robot: LocalRobot | None = None  # set by Robots
         self.drivables: list[Drivable] = []  # set by Gates
         self.guarded_ids: list[int] = []  # ids of the velocity topics that the guardian stops; set by Gates
-        self.routes: dict[int, Topic] = {}  # topic of each id from the device
+        self.lost: dict[str, TopicInfo] = {}  # velocity endpoints that an announcement gave up; set by Gates
+        self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()
         self.names: frozenset[str] = frozenset()  # names of its topics in the graph
         self.services: dict[str, DeviceService] = {}  # services of the device, by announced name
@@ -151,6 +152,7 @@ class Device:
         for name in self.services.keys() & self._awaited.keys():
             self.services[name].expect_late()
         self._awaited.clear()
+        self._stand_lost()
 
     def displace(self, name: str, type_name: str, robot: LocalRobot | None) -> None:
         """Remove the device from a topic, because the topic is another robot's own, with this type."""
@@ -166,30 +168,44 @@ class Device:
             for info in self.infos:
                 self._route_refused(info, robot)
 
-    def receive(self, message: MessageReceived, at_s: float | None = None) -> None:
-        """Publish a message of the device. `at_s` is its arrival time, if it did not arrive with the last read.
+    def receive(self, message: MessageReceived, read: tuple[float, float] | None = None) -> None:
+        """Publish a message of the device. `read` is when it was read and may have arrived; None: with the last read.
 
-        A played recording drives no robot.
+        A velocity is as old as it may be. A played recording drives no robot.
         """
-        topic_id, now_s = message.topic.topic_id, self.link.received_at_s
+        topic_id, link = message.topic.topic_id, self.link
+        read_s, came_s = (link.received_at_s, link.came_s) if read is None else read
         observe = self._observers.get(topic_id)
         if observe is not None:
             observe(message.payload)
         topic = self.routes.get(topic_id)
         if topic is not None and not (topic.is_gated and self.diagnosis.is_played):
             try:
-                topic.publish(message.payload, source=self.link, at_s=now_s if at_s is None else at_s)
+                topic.publish(message.payload, source=link, at_s=came_s if topic.is_gated else read_s)
             except HostlinkError as error:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
     def announced_again(self) -> None:
         """Send latched messages again: a board that announces the same topics may have restarted."""
+        self._hub.gates.give_up_lost(self)
         self._hub.topics.send_latched(self.link)
 
     def stand(self) -> None:
         """Send zero to every velocity topic: a reconnected robot may still obey an old command."""
         for info in filter(is_velocity, self.infos):
             self._hub.gates.attach(self._drivable(info, None), self)
+        self._stand_lost()
+
+    def _stand_lost(self) -> None:
+        """Send zero to velocity endpoints that the announcement lacks: it may be damaged, and the robot moves on.
+
+        They can be stopped, and are guarded, until the next announcement.
+        """
+        lost, self.lost = self.lost, {}
+        known = {each.endpoint.topic_id for each in self.drivables if each.endpoint is not None}
+        for info in lost.values():
+            if info.topic_id not in known and self.link.session.may_have(info):
+                self._hub.gates.attach(self._drivable(info, None), self, lost=info)
 
     def note_parameter(self, name: str, parameter: Parameter) -> None:
         """Note the answer to a parameter request. Of more than MAX_PARAMETERS names, the first are kept."""
@@ -327,22 +343,22 @@ class EarlyMessages:
     __slots__ = ("_bytes", "_waiting")
 
     def __init__(self) -> None:
-        self._waiting: list[tuple[MessageReceived, float]] = []
+        self._waiting: list[tuple[MessageReceived, tuple[float, float]]] = []
         self._bytes = 0
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, message: MessageReceived, at_s: float) -> int:
-        """Add a message that arrived `at_s`. Return the number of dropped messages."""
+    def add(self, message: MessageReceived, read: tuple[float, float]) -> int:
+        """Add a message, with when it was read and may have arrived. Return the number of dropped messages."""
         before = len(self._waiting)
-        self._waiting.append((message, at_s))
+        self._waiting.append((message, read))
         self._bytes += len(message.payload)
         while len(self._waiting) > EARLY_MESSAGES or self._bytes > EARLY_BYTES:
             self._bytes -= len(self._waiting.pop(0)[0].payload)
         return before + 1 - len(self._waiting)
 
-    def pop_all(self) -> list[tuple[MessageReceived, float]]:
-        """Remove and return all messages with their arrival times."""
+    def pop_all(self) -> list[tuple[MessageReceived, tuple[float, float]]]:
+        """Remove and return all messages with their times."""
         waiting, self._waiting, self._bytes = self._waiting, [], 0
         return waiting

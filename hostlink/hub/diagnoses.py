@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import structlog
 
 from hostlink.diagnosis.arrivals import RECENT_S, Arrival, RefusedLately, connection_text, daemon_findings, newest
-from hostlink.diagnosis.evidence import EarlierLink, Evidence, HostClock, port_finding
+from hostlink.diagnosis.evidence import EarlierLink, Evidence, HostClock, PortSharing, port_finding
 from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
@@ -136,6 +136,14 @@ class Diagnoses:
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
             diagnosis.monitor.set_baud(baud, loop_time_s())
+
+    def observe_sharing(
+        self, link: Link, names: tuple[str, ...], *, has_login: bool, lost_reads: int, has_changed_settings: bool
+    ) -> None:
+        """Note the signs of other programs at the link's serial port: PortSharing has their meaning."""
+        diagnosis = self._live.get(link.number)
+        if diagnosis is not None:
+            diagnosis.monitor.sharing = PortSharing(names, has_login, lost_reads, has_changed_settings)
 
     def note(self, diagnosis: Diagnosis, event: events.Event) -> None:
         """Note an event of a live link's session other than a message."""

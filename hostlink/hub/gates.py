@@ -23,6 +23,7 @@ from hostlink.hub.robot_events import (
     HOST_AWAY,
     LEASE_ENDED,
     LET_GO,
+    NOT_TAKEN,
     OVERRULED,
     OWNER_LEFT,
     WAS_STOPPED,
@@ -36,7 +37,7 @@ from hostlink.link.serving import LinkEnd
 from hostlink.log_budget import Budget
 from hostlink.loop_time import loop_time_s
 from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S, Admission, Command, named
 from hostlink.robot.velocity import (
     TWIST_STAMPED_TYPE,
@@ -178,7 +179,9 @@ class Drivable(VelocityTarget):
     gates: "Gates"
     connection: "Device | None" = None  # in the registry of links (`Robots.devices`)
     echoes: dict[str, Topic] = field(default_factory=dict)  # topics on which the sent velocities are published
-    last_frame: bytes = b""  # frame of a zero
+    endpoint: TopicInfo | None = None  # takes its zeros, even if a damaged announcement gave it up; None: none fits
+    is_lost: bool = False  # the device's announcement lacks it: it only receives zeros
+    is_given_up: bool = False  # the device announced twice that it lacks it: detached when its zeros were sent
     resumed_link: int = 0  # number of the link since which no reconnection was an interruption
     sent: AnyVelocity = ZERO
     sent_at_s: float = 0.0
@@ -247,9 +250,13 @@ class Gates:
 
     # -- which there are ----------------------------------------------------------------------------------------------
 
-    def attach(self, drivable: Drivable, connection: "Device") -> None:
-        """Attach a velocity topic to its device. Earlier commands are void: the first velocity is zero."""
-        drivable.connection, drivable.last_frame = connection, b""
+    def attach(self, drivable: Drivable, connection: "Device", *, lost: TopicInfo | None = None) -> None:
+        """Attach a velocity topic to its device. Earlier commands are void: the first velocity is zero.
+
+        `lost` is its endpoint if the device's announcement lacks it.
+        """
+        drivable.connection, drivable.is_lost = connection, lost is not None
+        drivable.endpoint = self._endpoint_of(drivable, connection) if lost is None else lost
         self.register(drivable.admission)
         if drivable.gate.admission.connect(loop_time_s()):
             drivable.resumed_link = connection.link.number
@@ -265,7 +272,7 @@ class Gates:
         drivables, connection.drivables = connection.drivables, []
         for drivable in drivables:
             with self._isolation.around("robot", robot=drivable.name):  # the others must be detached, too
-                self._send_last_zero(drivable, connection.link)
+                self._send_last_zero(drivable, connection)
             drivable.connection = None
             drivable.echoes.clear()
             drivable.gate.admission.disconnect(loop_time_s())
@@ -275,6 +282,25 @@ class Gates:
         guarded_ids, connection.guarded_ids = connection.guarded_ids, []
         if guarded_ids and self._guardian is not None:
             self._guardian.release(connection.link.number)
+
+    def give_up_lost(self, connection: "Device") -> None:
+        """Detach lost velocity topics when their zeros were sent: the device has announced the same topics again."""
+        for drivable in connection.drivables:
+            if drivable.is_lost:
+                drivable.is_given_up = True
+                self._activate(drivable)
+
+    def _detach_lost(self, drivable: Drivable, connection: "Device") -> None:
+        connection.drivables.remove(drivable)
+        drivable.connection = None
+        self.unregister(drivable.admission)
+        self._active.pop(drivable, None)
+        if self._guardian is not None and connection.guarded_ids:
+            self._guardian.release(connection.link.number)
+        connection.link.last_frame = b""
+        connection.guarded_ids = []
+        for other in connection.drivables:
+            self._guard(other, connection)
 
     def reach(self, hosts: RemoteHosts | None) -> None:
         """Set the interface to the other daemons of the fleet; None if there is none."""
@@ -306,11 +332,14 @@ class Gates:
             command = self.timed(drivable.name, command, now_s)
             # Two zeros at the same time would become one frame on a slow line.
             is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
+            driver = gate.owner
             limited = gate.command(command, now_s=now_s)
             refusal = None if is_stopping else self._step(drivable, now_s, is_news=True)
             if refusal is not None:
-                gate.admission.withdraw(owner)
+                gate.admission.end_drives(owner)
                 gate.stop(now_s=now_s)
+                if driver is not None:
+                    self._note_stop(drivable, NOT_TAKEN, str(driver))
                 raise refusal
         except HostlinkError as error:
             if not (velocity.is_zero and command.is_planar):
@@ -376,12 +405,16 @@ class Gates:
             self.hosts.release(owner)
         for admission in self._admissions:
             admission.withdraw(owner)
+        self.let_go(list(self._active), owner, OWNER_LEFT)
+
+    def let_go(self, drivables: Iterable[Drivable], owner: Hashable, reason: str) -> None:
+        """Stop those of the drivables that a source drives, because it has left, or says why it drives no more."""
         now_s = loop_time_s()
-        for drivable in list(self._active):
+        for drivable in drivables:
             gate = drivable.gate
             if gate.owner == owner:
                 gate.stop(now_s=now_s)
-                self._note_stop(drivable, OWNER_LEFT, str(owner))
+                self._note_stop(drivable, reason, str(owner))
                 self._step(drivable, now_s, is_news=True)
 
     def stop(self, drivables: Iterable[Drivable], *, by: str | None = None) -> None:
@@ -463,7 +496,9 @@ class Gates:
                     await asyncio.sleep(0)
                     now_s = loop.time()
                 connection, gate = drivable.connection, drivable.gate
-                if gate.may_move or (gate.is_active and connection is not None):
+                if drivable.is_given_up and connection is not None and not gate.may_move:
+                    self._detach_lost(drivable, connection)
+                elif gate.may_move or (gate.is_active and connection is not None):
                     self._step(drivable, now_s)
                 elif not gate.admission.is_held(now_s):
                     self._active.pop(drivable, None)
@@ -506,12 +541,13 @@ class Gates:
         try:
             if is_fed and gate.stays(now_s):
                 return None
-            previous, is_first, previous_target = gate.driver, gate.is_new_device, gate.target
+            is_first = gate.is_new_device
             velocity = gate.step(now_s)
-            if previous is not None and gate.driver is None:
+            ended = gate.pop_ended()
+            if ended is not None:
                 was_away = self._stalls.pauses(now_s).was_paused(now_s - LEASE_S)
-                reason = HOST_AWAY if was_away else LET_GO if previous_target.is_zero else LEASE_ENDED
-                self._note_stop(drivable, reason, str(previous.source))
+                reason = HOST_AWAY if was_away else LET_GO if ended.was_let_go else LEASE_ENDED
+                self._note_stop(drivable, reason, str(ended.lease.source))
             if velocity is None or connection is None:
                 return None
             link = connection.link
@@ -521,7 +557,7 @@ class Gates:
                 return None
             payload = velocity.encode()
             try:
-                link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_first)
+                self._put(drivable, link, velocity, payload, is_kept=is_first)
                 # Frames that would delay a stop on a slow line are held back or refused while the robot moves.
                 link.session.outbox.robot_moves = gate.may_move or any(
                     each.gate.may_move for each in connection.drivables
@@ -544,19 +580,37 @@ class Gates:
             return DeviceGone(drivable.name)
         return None
 
+    def note_end(self, drivable: Drivable, reason: str) -> None:
+        """Note that a drive ends, if there is one. The caller ends it."""
+        owner = drivable.gate.owner_name
+        if owner is not None:
+            self._note_stop(drivable, reason, owner)
+
     def _note_stop(self, drivable: Drivable, reason: str, owner: str) -> None:
         log.info("robot.stopped", robot=drivable.name, reason=reason, owner=owner)
         self.events.note(EventKind.STOPPED, drivable.name, reason=reason, owner=owner)
 
-    def _send_last_zero(self, drivable: Drivable, link: Link) -> None:
+    def _put(
+        self, drivable: Drivable, link: Link, velocity: AnyVelocity, payload: bytes, *, is_kept: bool = False
+    ) -> None:
+        """Queue a velocity; a zero for the endpoint that took the ones before.
+
+        Raises:
+            HostlinkError: it does not fit the device.
+        """
+        info = drivable.endpoint
+        if info is None or not velocity.is_zero or not link.session.send_zero(info, payload, is_kept=is_kept):
+            link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_kept)
+
+    def _send_last_zero(self, drivable: Drivable, connection: "Device") -> None:
         """Send the last zero. The device may have announced other topics, may have another link, or may be gone."""
+        link, info = connection.link, drivable.endpoint
         if drivable.gate.may_move:
-            try:
-                link.session.publish(drivable.velocity_topic, ZERO.encode(), is_urgent=True)
-            except HostlinkError:
-                if drivable.last_frame:
-                    link.session.send_last(drivable.last_frame)
-            link.wake()
+            with contextlib.suppress(HostlinkError):
+                self._put(drivable, link, ZERO, ZERO.encode())
+                link.wake()
+        if info is not None and not link.session.has(info):
+            connection.lost[info.name] = info
 
     def _beat(self, driven: set[int]) -> None:
         """Report to the guardian that this process runs, and which links have robots that may move."""
@@ -564,13 +618,21 @@ class Gates:
         if self._guardian is not None:
             self._guardian.beat(driven)
 
+    def _endpoint_of(self, drivable: Drivable, connection: "Device") -> TopicInfo | None:
+        """Return the endpoint that takes zeros: the announced one, or the earlier one if a zero does not fit that."""
+        lost = connection.lost.get(drivable.velocity_topic)
+        try:
+            return connection.link.session.endpoint_of(drivable.velocity_topic, ZERO.encode())
+        except HostlinkError:
+            return lost if lost is not None and connection.link.session.may_have(lost) else None
+
     def _guard(self, drivable: Drivable, connection: "Device") -> None:
         """Give link and guardian the frame that stops the device when this process cannot."""
-        link, guarded_ids = connection.link, connection.guarded_ids
-        with contextlib.suppress(HostlinkError):
-            drivable.last_frame = link.session.frame_to(drivable.velocity_topic, ZERO.encode())
-            link.last_frame += drivable.last_frame
-            if self._guardian is not None and len(guarded_ids) < MAX_GUARDED:
-                guarded_ids.append(link.session.topic_id(drivable.velocity_topic))
-                longest_bytes = link.session.longest_to_device_bytes
-                self._guardian.watch(link.number, link.descriptor, topic_ids=guarded_ids, claim_bytes=longest_bytes)
+        link, guarded_ids, info = connection.link, connection.guarded_ids, drivable.endpoint
+        if info is None:
+            return
+        link.last_frame += encode(info.topic_id, ZERO.encode())
+        if self._guardian is not None and len(guarded_ids) < MAX_GUARDED:
+            guarded_ids.append(info.topic_id)
+            longest_bytes = link.session.longest_to_device_bytes
+            self._guardian.watch(link.number, link.descriptor, topic_ids=guarded_ids, claim_bytes=longest_bytes)

@@ -78,7 +78,6 @@ class Hub:
         self.isolation = Isolation(reraises=reraises)
         self.changes = GraphChanges()
         self.budget = ByteBudget()
-        self.share = FairShare()  # of the event loop, for links and participants
         self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes the topics of robots that have names of ROS
         self.topics = TopicGraph(catalog, self.changes, self.budget)
         self.services = Services(catalog, self.changes)
@@ -87,6 +86,7 @@ class Hub:
         )  # by group, while participants use them
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
+        self.share = FairShare(self.gates.came_s)  # of the event loop, for links and participants
         self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses)
         self.robots = Robots(self)
         self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)

@@ -180,7 +180,7 @@ class Links:
             if reaction is not None:  # otherwise the session alone has reacted
                 reaction(device, event)
         elif device.is_undecided:
-            self.undelivered += device.early.add(event, link.received_at_s)
+            self.undelivered += device.early.add(event, (link.received_at_s, link.came_s))
         elif not self._hub.gates.is_closed:
             device.receive(event)
 
@@ -316,8 +316,8 @@ class Links:
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         device.is_undecided = False
-        for message, at_s in device.early.pop_all():
-            device.receive(message, at_s)
+        for message, read in device.early.pop_all():
+            device.receive(message, read)
 
     def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> LocalRobot:
         before, robots = device.robot, self._hub.robots

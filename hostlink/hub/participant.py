@@ -294,10 +294,12 @@ class Participant(Node):
         sent_s: float | None = None,
         epoch: int | None = None,
         is_planar: bool = True,
+        reason: str = "",
     ) -> PlanarVelocity:
         """Drive for the length of a lease. Return the velocity after the limits.
 
         `received_s`, `sent_s`, `epoch` and `is_planar` are those of a `Command`; `received_s` is now if it is None.
+        `reason` of a zero: why this participant drives no more.
 
         Raises:
             NoRole: this participant may not drive.
@@ -318,6 +320,8 @@ class Participant(Node):
         deliveries = self._hub.topics.deliveries
         senders = deliveries.begin_sending(self)
         try:
+            if reason and velocity.is_zero and is_planar:
+                robot.let_go(self, reason)
             return robot.command(command)
         finally:
             deliveries.senders = senders

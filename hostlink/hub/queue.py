@@ -27,9 +27,11 @@ class Waiting(NamedTuple, Generic[Item]):
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class Queue(Generic[Item]):
-    """Queue of telemetry by topic and of results. When it is full, the oldest telemetry is dropped and counted.
+    """Queue of telemetry by topic and of results. When it is full, telemetry is dropped and counted.
 
-    Items leave in their order of arrival. Results are never dropped: a participant with too many `is_too_slow`.
+    It is the oldest of the topic of which most waits: in messages or in bytes, whichever bound is exceeded. So a topic
+    that floods takes nothing from one that has a message now and then. Items leave in their order of arrival. Results
+    are never dropped: a participant with too many `is_too_slow`.
     """
 
     def __init__(self, size_of: Callable[[Item], int], clock: Callable[[], float], share: Share | None = None) -> None:
@@ -44,8 +46,10 @@ class Queue(Generic[Item]):
         self._bytes = 0
         self._result_bytes = 0
         self._topics: dict[str, deque[Waiting[Item]]] = {}
+        self._bytes_of: dict[str, int] = {}  # by topic
         self._results: deque[Waiting[Item]] = deque()
         self.on_news: Callable[[], None] = lambda: None  # set by the owner, who then pops
+        self.on_dropped: Callable[[str], None] = lambda _: None  # set by the owner; called with the topic
         self._room = asyncio.Event()
         self._room.set()
 
@@ -73,7 +77,7 @@ class Queue(Generic[Item]):
         return min(heads, default=None)
 
     def put_message(self, topic: str, item: Item, at_s: float | None = None) -> None:
-        """Queue telemetry that arrived `at_s`. Above a bound, drop the oldest of this topic, else of the longest."""
+        """Queue telemetry that arrived `at_s`. Above a bound, drop the oldest of the topic of which most waits."""
         waiting = self._topics.get(topic)
         if waiting is None:
             waiting = self._topics[topic] = deque()
@@ -84,9 +88,12 @@ class Queue(Generic[Item]):
             self._share.queues[self] = None
         self._messages += 1
         self._bytes += new.size_bytes
+        self._bytes_of[topic] = self._bytes_of.get(topic, 0) + new.size_bytes
         self._share.held_bytes += new.size_bytes
-        while self._messages > MAX_MESSAGES or self._bytes > MAX_BYTES:
-            self.drop_oldest(topic if len(waiting) > 1 else None)
+        while self._messages > MAX_MESSAGES:
+            self._drop(max(self._topics, key=lambda name: len(self._topics[name])))
+        while self._bytes > MAX_BYTES:
+            self.drop_oldest()
         if self._share.held_bytes > self._share.max_bytes:
             self._make_room()
         self.on_news()
@@ -166,16 +173,21 @@ class Queue(Generic[Item]):
     def _is_roomy(self) -> bool:
         return len(self._results) <= MAX_RESULTS // 2 and self._result_bytes <= MAX_RESULT_BYTES // 2
 
-    def drop_oldest(self, topic: str | None = None) -> None:
-        """Drop and count the oldest item of a topic; by default, of the topic with most items."""
-        self._pop(max(self._topics, key=lambda name: len(self._topics[name])) if topic is None else topic)
+    def drop_oldest(self) -> None:
+        """Drop and count the oldest item of the topic with most bytes; one with a single item only if all have one."""
+        self._drop(max(self._topics, key=lambda name: (len(self._topics[name]) > 1, self._bytes_of[name])))
+
+    def _drop(self, topic: str) -> None:
+        self._pop(topic)
         self.dropped += 1
+        self.on_dropped(topic)
 
     def _pop(self, topic: str) -> Waiting[Item]:
         waiting = self._topics[topic]
         oldest = waiting.popleft()
+        self._bytes_of[topic] -= oldest.size_bytes
         if not waiting:
-            del self._topics[topic]
+            del self._topics[topic], self._bytes_of[topic]
         self._messages -= 1
         if not self._messages:
             self._share.queues.pop(self, None)

@@ -116,6 +116,9 @@ class AnyRobot(VelocityTarget):
             CommandRefused, FrameTooLarge, WrongType, UnknownTopic: the robot's daemon refused the command.
         """
 
+    def let_go(self, owner: Hashable, reason: str) -> None:
+        """Stop what a source drives, if it is this robot; `reason` is why the source drives no more."""
+
     @abstractmethod
     def limited_by(self, velocity: PlanarVelocity) -> str | None:
         """Return the setting that slows a velocity down most; None if none does, or for a remote robot."""
@@ -227,6 +230,10 @@ class LocalRobot(Drivable, AnyRobot):
         """Return None: `command` has returned the answer."""
         return
 
+    def let_go(self, owner: Hashable, reason: str) -> None:
+        """Stop what a source drives, if it is this robot; `reason` is why the source drives no more."""
+        self.gates.let_go(self.beside, owner, reason)
+
     def limited_by(self, velocity: PlanarVelocity) -> str | None:
         """Return the setting that slows a velocity down most; None if none does."""
         return self.gate.limits.slowest(velocity)
@@ -305,7 +312,10 @@ class LocalRobot(Drivable, AnyRobot):
         stamp_ns = message.stamp_ns
         if reading.stamp_ns is not None and link is not None:  # by the device's clock
             stamp_ns = link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
-        self.odometry.update(reading.pose, now_s=message.at_s, wall_ns=stamp_ns, twist=reading.twist)
+        is_stamped = bool(reading.stamp_ns)
+        self.odometry.update(
+            reading.pose, now_s=message.at_s, wall_ns=stamp_ns, twist=reading.twist, is_stamped=is_stamped
+        )
         if self.odometry.count > count:
             for follow in tuple(self.followers.values()):  # one may leave meanwhile
                 follow(message)

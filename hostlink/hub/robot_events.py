@@ -11,7 +11,10 @@ LEASE_ENDED = "no command came"  # reason of a stop: the last velocity is too ol
 OWNER_LEFT = "owner left"  # reason of a stop: the source disconnected
 WAS_STOPPED = "stopped"  # reason of a stop: a stop was requested
 OVERRULED = "overruled"  # reason of a stop: a source of higher priority drives another topic of the robot
+NOT_TAKEN = "a command does not fit its device"  # reason of a stop
+OTHER_TOPICS = "its device announced other topics"  # reason of a stop
 HOST_AWAY = "hostlink did not run"  # reason of a stop: the process was paused, and no command was read
+ORDERLY = frozenset({LET_GO, OWNER_LEFT, WAS_STOPPED, OVERRULED})  # a person or a program meant the robot to stop
 
 
 class EventKind(Enum):

@@ -16,7 +16,7 @@ from hostlink.errors import UnknownTopic
 from hostlink.hub.device import Device
 from hostlink.hub.gates import Drivable
 from hostlink.hub.robot import AnyRobot, LocalRobot, RemoteRobot, correction_of, limits_of, of_namesake
-from hostlink.hub.robot_events import EventKind
+from hostlink.hub.robot_events import OTHER_TOPICS, EventKind
 from hostlink.link.link import Link
 from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
@@ -237,8 +237,10 @@ class Robots:
         """
         if device.robot is not None and device.robot.name != name:
             self.vanish(device)
-        self._gates.detach(device)
         robot = self._robots.get(name)
+        if robot is not None and robot.connection is not None:  # otherwise the end of its drive is known
+            self._gates.note_end(robot, OTHER_TOPICS)
+        self._gates.detach(device)
         if robot is None:
             robot = self._robots[name] = self._make(name, topics, shown)
             self._gates.register(robot.admission)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol
 
+from hostlink.arrival import SETTLE_S, Arrival
 from hostlink.transport.base import READ_BYTES
 
 TURN_S = 0.0002  # for all of them together, so that a command for a robot is handled within a few turns of the loop
@@ -24,8 +25,10 @@ class FairShare:
     quarter while calm readers wait.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, came_s: Callable[[float], float] = lambda now_s: now_s) -> None:
+        """`came_s` returns the earliest arrival of bytes that the loop reads at a time: the loop may be late."""
         self.waits = 0  # number of waits so far
+        self.came_s = came_s
         self._spent_s = 0.0  # used time of this turn
         self._owed_s = 0.0  # time for calm readers, if they wait, before a flood has its next turn
         self._is_turn_due = False
@@ -130,6 +133,13 @@ class Turns:
         self.share.spend(self._cost_s)
         return now_s
 
+    def leave(self, arrival: Arrival, *, is_more: bool) -> None:
+        """Note that all bytes of a source were read, and settle its arrival when the loop has read for a while."""
+        loop = asyncio.get_running_loop()
+        number = arrival.leave(loop.time(), is_more=is_more)
+        if number:  # what waits when the timer is due is read within the next turn, also in uvloop
+            loop.call_later(SETTLE_S, loop.call_soon, loop.call_soon, arrival.settle, number)
+
     async def wait(self, cost_s: float, *, is_flooding: bool = False) -> None:
         """Wait for a turn for work of about `cost_s` that is only started here."""
         await self.share.wait(cost_s, is_flooding=is_flooding)
@@ -145,20 +155,27 @@ class ReadSource(Protocol):
     @property
     def is_ended(self) -> bool: ...
 
+    @property
+    def is_behind(self) -> bool: ...
+
 
 class TurnReader:
     """Reads a connection piece by piece: at once while it is its turn, otherwise later.
 
     `read` reads one piece, ends its turn and must not raise. `on_end` is called when everything was read and the source
-    has ended. `rest` is the part of a piece that `read` has left for its next call.
+    has ended. `rest` is the part of a piece that `read` has left for its next call. `came_s` is the earliest arrival of
+    the piece that is read.
     """
 
-    __slots__ = ("_is_due", "_is_flooding", "_is_stopped", "_on_end", "_read", "_source", "_turns", "rest")
+    __slots__ = (
+        "_arrival", "_is_due", "_is_flooding", "_is_stopped", "_on_end", "_read", "_source", "_turns", "came_s", "rest",
+    )  # fmt: skip
 
     def __init__(self, turns: Turns, source: ReadSource, read: Callable[[], None], on_end: Callable[[], None]) -> None:
         self._turns, self._source = turns, source
         self._read, self._on_end = read, on_end
         self._is_due = self._is_flooding = self._is_stopped = False
+        self._arrival, self.came_s = Arrival(), asyncio.get_running_loop().time()
         self.rest = b""
 
     def stop(self) -> None:
@@ -172,6 +189,8 @@ class TurnReader:
         if self._is_due or self._is_stopped:
             return
         source, share = self._source, self._turns.share
+        if self.rest or source.unread_bytes:
+            self.came_s = self._arrival.arrive(share.came_s(asyncio.get_running_loop().time()))
         while (unread_bytes := len(self.rest) + source.unread_bytes) and not self._is_stopped:
             if unread_bytes >= READ_BYTES:
                 self._is_flooding = True
@@ -181,6 +200,7 @@ class TurnReader:
                 return
             self._read()
         self._is_flooding = False
+        self._turns.leave(self._arrival, is_more=source.is_behind)
         if source.is_ended and not self._is_stopped:
             self._on_end()
 
@@ -197,6 +217,7 @@ class _Nothing:
 
     unread_bytes = 0
     is_ended = True
+    is_behind = False
 
 
 _NOTHING: ReadSource = _Nothing()

@@ -149,7 +149,7 @@ class Link:
         "_config", "_context", "_drained", "_end", "_failure", "_finished", "_from_device", "_helper", "_idle_limit_s",
         "_is_behind", "_is_write_due", "_now_s", "_on_event", "_pauses", "_piece", "_reader",
         "_regular_limit_s", "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns",
-        "address", "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s",
+        "address", "came_s", "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s",
         "session",
     )  # fmt: skip
 
@@ -183,6 +183,7 @@ class Link:
         self._from_device, self._to_device = CaptureBuffer(room), CaptureBuffer(room)
         self._now_s = asyncio.get_running_loop().time
         self.opened_at_s = self.received_at_s = self._now_s()
+        self.came_s = self.opened_at_s  # earliest arrival of the bytes that were read last
         self._transport = transport
         self._config = config
         self._on_event, self._wall_ns = on_event, wall_ns
@@ -333,6 +334,7 @@ class Link:
         """Read one piece, so that others have their turn between two pieces."""
         now_s = self.received_at_s = self._now_s()
         session, reader = self.session, self._reader
+        self.came_s = reader.came_s
         data = reader.rest or self._transport.read(self._piece.size_bytes)
         reader.rest = b""
         if len(data) > FIRST_BYTES and is_crowded(data):

@@ -24,6 +24,7 @@ from hostlink.rate_limit import RateLimit
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import ignore
 from hostlink.transport.keyed import HELLO, exchange_proofs, read_key
+from hostlink.transport.port_users import PortUsers, users_of
 from hostlink.transport.serial import SerialTransport, open_serial
 from hostlink.transport.udp import Datagram, UdpPort, UdpTransport
 
@@ -307,6 +308,7 @@ class UdpAcceptor(_Acceptor):
 
 BITS_A_BYTE = 10  # 8N1
 RETRY_S = 1.0  # interval of the search for a removed port
+SHARING_S = 5.0  # interval of the search for other programs at a port, which reads some thousand links of /proc
 
 
 async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S) -> None:
@@ -332,9 +334,13 @@ async def _serve_once(hub: Hub, config: SerialConfig) -> str:
     link = hub.links.open(transport, _link_config(hub, config))
     hub.diagnoses.observe_baud(link, config.bauds[0])
     async with asyncio.TaskGroup() as tasks:
-        trying = tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}")
+        helpers = (
+            tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}"),
+            tasks.create_task(_watch_sharing(hub, transport, link), name=f"other programs at {config.name}"),
+        )
         await hub.links.serve(link)
-        trying.cancel()
+        for helper in helpers:
+            helper.cancel()
     return ""
 
 
@@ -345,6 +351,26 @@ def _link_config(hub: Hub, config: SerialConfig) -> LinkConfig:
     """
     uart_bytes_s = hub.config.link.uart_bytes_s or min(config.bauds) // BITS_A_BYTE
     return dataclasses.replace(hub.config.link, idle_timeout_s=None, silence_timeout_s=None, uart_bytes_s=uart_bytes_s)
+
+
+async def _watch_sharing(hub: Hub, transport: SerialTransport, link: Link) -> None:
+    """Look for other programs at the port: once, then while bytes are missing or damaged."""
+    users, lost, damage = PortUsers(), 0, -1
+    while True:
+        await asyncio.sleep(SHARING_S)
+        has_changed, lost_now, counts = transport.keep_settings(), transport.lost_reads, link.session.counts
+        damage_now = counts.skipped_bytes + sum(link.session.rejected.values())
+        is_troubled = has_changed or lost_now > lost or damage_now > damage or counts.bytes_from_device == 0
+        if is_troubled or users.names:
+            users = await asyncio.to_thread(users_of, link.peer)
+        hub.diagnoses.observe_sharing(
+            link,
+            users.names,
+            has_login=users.has_login,
+            lost_reads=lost_now - lost,
+            has_changed_settings=has_changed,
+        )
+        lost, damage = lost_now, damage_now
 
 
 async def _try_bauds(hub: Hub, transport: SerialTransport, link: Link, config: SerialConfig) -> None:

@@ -19,8 +19,14 @@ _NS_PER_S = 1_000_000_000
 _MAX_NAME_BYTES = 255
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
 IS_TO_DEVICE = frozenset({Id.SUBSCRIBER, Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_SUBSCRIBER})
+_TO_DEVICE = 0x10000  # above every id, which has 16 bits
 
 Item = TypeVar("Item")
+
+
+def to_device_key(topic_id: int) -> int:
+    """Return the `TopicInfo.key` of an id in frames to the device: no id in frames from it."""
+    return topic_id | _TO_DEVICE
 
 
 class TopicInfo(NamedTuple):
@@ -37,6 +43,14 @@ class TopicInfo(NamedTuple):
     def is_to_device(self) -> bool:
         """Whether frames with this id go from the host to the device."""
         return self.kind in IS_TO_DEVICE
+
+    @property
+    def key(self) -> int:
+        """Id and direction as one number. From the device it is the id of a frame, to the device it is `to_device_key`.
+
+        A device numbers each direction by itself: one id may be a publisher's and a subscriber's.
+        """
+        return to_device_key(self.topic_id) if self.kind in IS_TO_DEVICE else self.topic_id
 
 
 class Parameter(NamedTuple):

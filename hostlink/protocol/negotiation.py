@@ -8,6 +8,7 @@ REQUEST_INTERVAL_S = 1.0  # docs/protocol.md#topic-negotiation: at most one topi
 ANSWER_TIMEOUT_S = 2.0  # twice the longest burst of TopicInfos on a 38400 baud line
 NEGOTIATION_QUIET_S = 0.5  # a device sends its TopicInfos without a pause; WiFi may add one
 CONFIRM_S = 2.0  # after the last TopicInfo: the device has finished its start by then
+LONGEST_TURN_S = 4.0  # of a device's loop: it sends half a frame in each, and a longer one looks like silence
 LONGEST_CALL_S = 6.0  # longest service call of a device: the host's deadline plus the travel time of a late answer
 ANSWER_WAY_S = 0.5  # from the host to the device, over a slow serial line behind a radio
 SILENCE_S = 5.0  # two missed time requests: one is due every 2.5 s
@@ -56,16 +57,17 @@ class NegotiationScheduler:
     |-------------|---------------------------------------------------------------------------------------------------|
     | REQUESTING  | at once after `open`, then after every 2 s without an answer                                      |
     | NEGOTIATING | never                                                                                             |
-    | READY       | unknown id, gap or damage (3 times each); no time request for 5 s, or no byte for 3.5 s from a    |
-    |             | device that requests the time; on a lossy transport 2 s after changed topics, but not while the   |
-    |             | device waits for a service                                                                        |
+    | READY       | unknown id, gap, damage or another meaning of an id (3 times each); no time request for 5 s, or   |
+    |             | no byte for 3.5 s from a device that requests the time; on a lossy transport 2 s after changed    |
+    |             | topics, but not while the device waits for a service                                              |
 
     A request waits until the last one is REQUEST_INTERVAL_S old.
     """
 
     __slots__ = (
         "_calls_until_s", "_is_damaged", "_is_unconfirmed", "_last_time_request_s", "_parts", "_requested_at_s",
-        "_same_requests", "_time_requested_at_s", "_topic_info_at_s", "is_regular", "pending", "received_at_s", "state",
+        "_same_requests", "_time_requested_at_s", "_topic_info_at_s", "_turn_s", "is_regular", "pending",
+        "received_at_s", "state",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -76,8 +78,9 @@ class NegotiationScheduler:
         self._is_damaged = False  # bytes were skipped during this negotiation
         self._is_unconfirmed = False  # the last negotiation has to be confirmed by a second one
         self._topic_info_at_s = 0.0
+        self._turn_s = 0.0  # of a device's loop, if it sends frames in pieces
         self._parts = 1  # parts of this negotiation; messages follow each part
-        self._time_requested_at_s = 0.0  # last time request, or the topic request that replaced it
+        self._time_requested_at_s = 0.0  # last time request or TopicInfo, or the topic request that replaced it
         self._last_time_request_s = float("-inf")
         self._requested_at_s = float("-inf")
         self.pending: str | None = None  # reason of the next topic request
@@ -94,6 +97,19 @@ class NegotiationScheduler:
         self.is_regular |= shortest_s <= now_s - self._last_time_request_s <= longest_s
         self._time_requested_at_s = self._last_time_request_s = now_s
 
+    def note_pause(self, pause_s: float) -> None:
+        """Note the pause inside a frame: a device whose loop is slow needs longer for everything."""
+        if pause_s > NEGOTIATION_QUIET_S:
+            self._turn_s = min(max(self._turn_s, pause_s), LONGEST_TURN_S)
+
+    @property
+    def _quiet_s(self) -> float:
+        return max(NEGOTIATION_QUIET_S, 1.5 * self._turn_s)
+
+    @property
+    def _answer_s(self) -> float:
+        return max(ANSWER_TIMEOUT_S, 3 * self._turn_s)
+
     def called(self, now_s: float) -> None:
         """Note a service call of the device. A topic request would end ros_lib's call, but not the response to it."""
         self._calls_until_s = now_s + LONGEST_CALL_S
@@ -108,12 +124,12 @@ class NegotiationScheduler:
         Without a topic request in between, a device may continue its announcement after messages of its other tasks.
         The continuation starts with an id that it has not announced yet (`may_go_on`).
         """
-        goes_on = may_go_on and now_s < self._topic_info_at_s + NEGOTIATION_QUIET_S
+        goes_on = may_go_on and now_s < self._topic_info_at_s + self._quiet_s
         is_first = self.state is SessionState.REQUESTING or (self.state is SessionState.READY and not goes_on)
         if self.state is not SessionState.NEGOTIATING:
             self._parts = 1 if is_first else self._parts + 1
             self._is_unconfirmed &= not is_first
-        self._topic_info_at_s = now_s
+        self._topic_info_at_s = self._time_requested_at_s = now_s  # a device that announces is alive
         self._step(NegotiationStep.TOPIC_INFO)
         return is_first
 
@@ -132,11 +148,17 @@ class NegotiationScheduler:
             self.pending = reason
 
     def forget_causes(self) -> None:
-        """Reset the request counts of all causes, because the topics changed."""
-        self._same_requests.clear()
+        """Reset the request counts of all causes but `altered`, because the topics changed."""
+        self._same_requests = Counter({"altered": self._same_requests["altered"]})
 
-    def finish(self, gap_at: int | None, *, is_short: bool = False, is_unconfirmed: bool = False) -> None:
-        """End the negotiation. It satisfies earlier requests; a loss during it causes a new one."""
+    def finish(
+        self, gap_at: int | None, *, is_short: bool = False, is_altered: bool = False, is_unconfirmed: bool = False
+    ) -> None:
+        """End the negotiation. It satisfies earlier requests; a loss during it causes a new one.
+
+        So does another meaning of an id (`is_altered`), because a checksum lets some damage pass: a robot whose
+        velocity topic was announced with damage cannot be driven.
+        """
         self._step(NegotiationStep.FINISHED)
         self.pending = None
         self._is_unconfirmed |= is_unconfirmed
@@ -150,6 +172,10 @@ class NegotiationScheduler:
             self.request_about("short", "missing")
         else:
             self._same_requests.pop("short", None)
+        if is_altered:
+            self.request_about("altered", "altered")
+        else:
+            self._same_requests.pop("altered", None)
         self._is_damaged = False
 
     @property
@@ -162,12 +188,12 @@ class NegotiationScheduler:
         return self._parts <= MAX_PARTS
 
     def is_quiet(self, now_s: float) -> bool:
-        """Whether the negotiation ends because no TopicInfo arrived for NEGOTIATION_QUIET_S."""
-        return self.state is SessionState.NEGOTIATING and now_s >= self._topic_info_at_s + NEGOTIATION_QUIET_S
+        """Whether the negotiation ends because no TopicInfo arrived for NEGOTIATION_QUIET_S, or a slow turn."""
+        return self.state is SessionState.NEGOTIATING and now_s >= self._topic_info_at_s + self._quiet_s
 
     def tick(self, now_s: float) -> None:
         """Schedule a topic request for a device that does not answer or is silent."""
-        if self.state is SessionState.REQUESTING and now_s >= self._requested_at_s + ANSWER_TIMEOUT_S:
+        if self.state is SessionState.REQUESTING and now_s >= self._requested_at_s + self._answer_s:
             self.request("no_answer")
         elif self.state is SessionState.READY and self._is_unconfirmed and now_s >= self._confirm_at_s():
             self._is_unconfirmed = False
@@ -190,11 +216,11 @@ class NegotiationScheduler:
     def deadline_s(self) -> float:
         """Time at which `tick` must be called if no byte arrives before."""
         if self.state is SessionState.NEGOTIATING:
-            return self._topic_info_at_s + NEGOTIATION_QUIET_S
+            return self._topic_info_at_s + self._quiet_s
         if self.pending is not None:
             return self._requested_at_s + REQUEST_INTERVAL_S
         if self.state is SessionState.REQUESTING:
-            return self._requested_at_s + ANSWER_TIMEOUT_S
+            return self._requested_at_s + self._answer_s
         if self._is_unconfirmed:
             return min(self._confirm_at_s(), self._silent_at_s())
         return self._silent_at_s()
@@ -207,5 +233,6 @@ class NegotiationScheduler:
 
     def _silent_at_s(self) -> float:
         """Time at which the device's silence causes a topic request."""
-        silent_at_s = self._time_requested_at_s + SILENCE_S
-        return min(silent_at_s, self.received_at_s + QUIET_S) if self.is_regular else silent_at_s
+        silent_at_s = self._time_requested_at_s + max(SILENCE_S, 3 * self._turn_s)
+        is_regular = self.is_regular and not self._turn_s
+        return min(silent_at_s, self.received_at_s + QUIET_S) if is_regular else silent_at_s

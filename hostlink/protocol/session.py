@@ -17,6 +17,7 @@ from hostlink.protocol.control import (
     decode_parameter_request,
     decode_topic_info,
     encode_parameter,
+    to_device_key,
 )
 from hostlink.protocol.frame import (
     FIRST_TOPIC_ID,
@@ -36,10 +37,13 @@ from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
 
 STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
+SLOW_FRAME_S = 11.0  # a device whose loop takes seconds sends a frame in two pieces; longer than that ends the link
+_IDS_FROM_DEVICE = frozenset(
+    {Id.PUBLISHER, Id.SUBSCRIBER, Id.SERVICE_SERVER_PUBLISHER, Id.SERVICE_SERVER_SUBSCRIBER, Id.PARAMETER, Id.LOG}
+    | {Id.SERVICE_CLIENT_PUBLISHER, Id.SERVICE_CLIENT_SUBSCRIBER, Id.TIME}
+)
 DEFAULT_BUFFER_BYTES = 512  # rosserial's default
 KEPT_BYTES = 1024  # a few boot messages, or a hundred lines of plain text
-
-_KINDS_FROM_DEVICE = (Id.PUBLISHER, Id.SERVICE_SERVER_PUBLISHER)  # and the request endpoints of service clients
 
 
 @dataclass(slots=True)
@@ -105,7 +109,7 @@ class Session:
         self._check = check
         self._topics = TopicTable(max_topics)
         self.outbox = Outbox(uart_bytes_s=uart_bytes_s)  # the link reads when its next frame may be sent
-        self._refused: dict[int, HostlinkError] = {}
+        self._refused: dict[int, HostlinkError] = {}  # by `TopicInfo.key`
         self._known: tuple[TopicInfo, ...] = ()
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
         self.negotiation = NegotiationScheduler()
@@ -124,6 +128,8 @@ class Session:
     def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
         """Process bytes from the device."""
         self.counts.bytes_from_device += len(data)
+        if self._stream.pending:
+            self.negotiation.note_pause(now_s - self.negotiation.received_at_s)
         self.negotiation.received_at_s = now_s
         found: list[events.Event] = []
         self._read(self._stream.feed(data), now_s, found)
@@ -135,7 +141,7 @@ class Session:
         """Do what is due by now. Call it at `deadline_s`."""
         found: list[events.Event] = []
         negotiation = self.negotiation
-        if self._stream.pending and now_s >= negotiation.received_at_s + STALLED_FRAME_S:
+        if self._stream.pending and now_s >= self._stalled_at_s():
             negotiation.received_at_s = now_s
             self._read(self._stream.give_up(), now_s, found)
         if negotiation.is_quiet(now_s):
@@ -159,8 +165,20 @@ class Session:
         """Time at which `tick` must be called if no byte arrives before."""
         deadline_s = self.negotiation.deadline_s()
         if self._stream.pending:
-            return min(deadline_s, self.negotiation.received_at_s + STALLED_FRAME_S)
+            return min(deadline_s, self._stalled_at_s())
         return deadline_s
+
+    def _stalled_at_s(self) -> float:
+        """Time at which the frame at the head of the stream is given up.
+
+        One with a known id or a part of a header is kept for long: a whole frame inside it is found all the same.
+        """
+        pending = self._stream.pending
+        is_kept = len(pending) < HEADER.size
+        if not is_kept:
+            topic_id: int = HEADER.unpack_from(pending)[3]
+            is_kept = topic_id in _IDS_FROM_DEVICE or topic_id in self._topics.by_key
+        return self.negotiation.received_at_s + (SLOW_FRAME_S if is_kept else STALLED_FRAME_S)
 
     def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
         """Remove and return the next frame. None: the queues are empty, or the device's UART is busy."""
@@ -176,7 +194,7 @@ class Session:
 
     def _note_response(self, frame: bytes, now_s: float) -> None:
         topic_id: int = HEADER.unpack_from(frame)[3]
-        info = self._topics.by_id.get(topic_id)
+        info = self._topics.by_key.get(to_device_key(topic_id))
         if info is not None and info.kind is Id.SERVICE_CLIENT_SUBSCRIBER:
             self.negotiation.answered(now_s)
 
@@ -195,12 +213,12 @@ class Session:
     @property
     def refusals(self) -> tuple[tuple[TopicInfo, HostlinkError], ...]:
         """Endpoints that cannot be used, with the reason."""
-        known = ((self._topics.by_id.get(topic_id), reason) for topic_id, reason in self._refused.items())
+        known = ((self._topics.by_key.get(key), reason) for key, reason in self._refused.items())
         return tuple((info, reason) for info, reason in known if info is not None)
 
     @property
     def fixed_bytes(self) -> Mapping[int, int]:
-        """Id -> the only payload size that its type can have."""
+        """`TopicInfo.key` -> the only payload size that its type can have."""
         return self._topics.fixed_bytes
 
     @property
@@ -231,28 +249,31 @@ class Session:
         else:
             self.outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 
-    def send_last(self, frame: bytes) -> None:
-        """Queue a frame for an endpoint that the device may still have. Drop it if its id has a new meaning."""
-        topic_id: int = HEADER.unpack_from(frame)[3]
-        if self._topics.by_id.get(topic_id) is None:
-            self.outbox.put_urgent(topic_id, frame)
+    def send_zero(self, info: TopicInfo, payload: bytes, *, is_kept: bool = False) -> bool:
+        """Queue a zero velocity for an endpoint that has taken one before, unless its id has a new meaning since.
 
-    def frame_to(self, topic: str, payload: bytes) -> bytes:
-        """Encode a message to the device, as `publish` would queue it.
+        A damaged announcement may have changed or removed the endpoint, which the device has all the same: a zero is
+        not refused for that. Return whether it was queued.
+        """
+        may_have = self.may_have(info)
+        if may_have:
+            self.outbox.put_urgent(info.topic_id, encode(info.topic_id, payload), is_kept=is_kept)
+        return may_have
+
+    def may_have(self, info: TopicInfo) -> bool:
+        """Whether the device may still have this endpoint: its id has no other name and type now."""
+        now = self._topics.by_key.get(info.key)
+        return now is None or now.name == info.name or now.type == info.type
+
+    def endpoint_of(self, topic: str, payload: bytes) -> TopicInfo:
+        """Return the endpoint of a topic to which the device subscribes. It takes messages as long as this one.
 
         Raises:
             HostlinkError: as from `publish`.
         """
-        return self._encode(self._endpoint("topic", topic, Id.SUBSCRIBER), payload)
-
-    def topic_id(self, topic: str) -> int:
-        """Return the id of a topic to which the device subscribes.
-
-        Raises:
-            UnknownTopic: the device does not subscribe to it.
-            WrongType: the topic was refused.
-        """
-        return self._endpoint("topic", topic, Id.SUBSCRIBER).topic_id
+        info = self._endpoint("topic", topic, Id.SUBSCRIBER)
+        self._encode(info, payload)
+        return info
 
     def call(self, service: str, payload: bytes) -> None:
         """Queue a request to a service of the device.
@@ -279,11 +300,11 @@ class Session:
 
     def has(self, info: TopicInfo) -> bool:
         """Whether the device still has this endpoint."""
-        return self._topics.by_id.get(info.topic_id) == info
+        return self._topics.by_key.get(info.key) == info
 
     def is_refused(self, info: TopicInfo) -> bool:
         """Whether this endpoint was refused because of its type."""
-        return info.topic_id in self._refused
+        return info.key in self._refused
 
     def respond(self, response: TopicInfo, payload: bytes | None) -> None:
         """Queue a response to a request of the device.
@@ -297,7 +318,7 @@ class Session:
         """
         if payload is None:
             room_bytes = min(_buffer_bytes(response), DEFAULT_BUFFER_BYTES) - OVERHEAD_BYTES
-            payload = bytes(self._topics.fixed_bytes.get(response.topic_id, max(room_bytes, 0)))
+            payload = bytes(self._topics.fixed_bytes.get(response.key, max(room_bytes, 0)))
         frame = self._fitting(response.name, response.topic_id, payload, _buffer_bytes(response))
         self.outbox.put_reply(response.name, frame)
 
@@ -326,12 +347,12 @@ class Session:
         info = self._topics.by_name.get((name, kind))
         if info is None:
             raise UnknownTopic(what, name, tuple(known.name for known in self._known if known.kind is kind))
-        if info.topic_id in self._refused:
-            raise self._refused[info.topic_id].with_traceback(None)  # otherwise the traceback grows with each raise
+        if info.key in self._refused:
+            raise self._refused[info.key].with_traceback(None)  # otherwise the traceback grows with each raise
         return info
 
     def _encode(self, info: TopicInfo, payload: bytes) -> bytes:
-        fixed_bytes = self._topics.fixed_bytes.get(info.topic_id)
+        fixed_bytes = self._topics.fixed_bytes.get(info.key)
         if fixed_bytes is not None and len(payload) != fixed_bytes:
             raise WrongType(info.name, f"{info.type} of {fixed_bytes} bytes", f"{len(payload)} bytes")
         return self._fitting(info.name, info.topic_id, payload, _buffer_bytes(info))
@@ -369,15 +390,17 @@ class Session:
             if topic_id < FIRST_TOPIC_ID:
                 self._answer(item, now_s, found)
                 continue
-            info = self._topics.by_id.get(topic_id)
-            if info is None:
+            info = self._topics.by_key.get(topic_id)
+            if info is None and to_device_key(topic_id) in self._topics.by_key:
+                self.counts.refused_frames += 1
+            elif info is None:
                 self.counts.unknown_ids += 1
                 negotiation.request_about(topic_id, "unknown_id")
                 found.append(events.UnknownTopicUsed(topic_id))
             elif info.kind is Id.SERVICE_CLIENT_PUBLISHER:  # also of a refused type: the device waits for a response
                 negotiation.called(negotiation.received_at_s)
                 found.append(events.ServiceRequested(info, payload))
-            elif topic_id in self._refused or info.kind not in _KINDS_FROM_DEVICE:
+            elif topic_id in self._refused:
                 self.counts.refused_frames += 1
             elif info.kind is Id.PUBLISHER:
                 found.append(events.MessageReceived(info, payload))
@@ -410,23 +433,23 @@ class Session:
         if info is None or info.topic_id < FIRST_TOPIC_ID:
             self.counts.malformed += 1
             return
-        may_go_on = not self._topics.has_announced(info.topic_id)
+        may_go_on = not self._topics.has_announced(info.key)
         if self.negotiation.topic_info_received(now_s, may_go_on=may_go_on):
             self._topics.begin()
-        if not self._topics.is_room(info.topic_id):
+        if not self._topics.is_room(info.key):
             self._refuse_excess(info, found)
             return
-        if self._topics.by_id.get(info.topic_id) not in (None, info):  # frames wait for the old meaning
+        if self._topics.by_key.get(info.key) not in (None, info):  # frames wait for the old meaning
             self.outbox.drop_messages()
             self._has_dropped = True
-        self._refused.pop(info.topic_id, None)
+        self._refused.pop(info.key, None)
         self.device_clock.topics_answered(now_s)
         fixed_bytes = None
         try:
             fixed_bytes = self._check(info)
         except HostlinkError as error:
             reason = error.with_traceback(None)  # a traceback would keep `found` and the error alive in a cycle
-            self._refused[info.topic_id] = reason
+            self._refused[info.key] = reason
             found.append(events.TopicRefused(info, reason))
         if info.kind is Id.SERVICE_CLIENT_PUBLISHER:
             fixed_bytes = None  # every request is answered, even of a wrong size
@@ -455,9 +478,9 @@ class Session:
     def _finish_negotiation(self) -> events.TopicsNegotiated:
         self._topics.finish(refused=self._refused)
         self._stream.limit_bytes = max(DEFAULT_LIMIT_BYTES, self._topics.largest_from_device_bytes())
-        self._refused = {topic_id: why for topic_id, why in self._refused.items() if self._topics.by_id.get(topic_id)}
+        self._refused = {key: why for key, why in self._refused.items() if key in self._topics.by_key}
         self.counts.negotiations += 1
-        known = tuple(info for info in self._topics.all() if info.topic_id not in self._refused)
+        known = tuple(info for info in self._topics.all() if info.key not in self._refused)
         is_changed = known != self._known
         if is_changed:
             self.outbox.drop_messages()
@@ -466,7 +489,12 @@ class Session:
         has_dropped, self._has_dropped = self._has_dropped, False
         gap_at = self._topics.gap()
         is_unconfirmed = self._is_lossy and is_changed
-        self.negotiation.finish(gap_at, is_short=bool(self._topics.missing), is_unconfirmed=is_unconfirmed)
+        self.negotiation.finish(
+            gap_at,
+            is_short=bool(self._topics.missing),
+            is_altered=self._topics.is_altered,
+            is_unconfirmed=is_unconfirmed,
+        )
         return events.TopicsNegotiated(known, is_changed or has_dropped, gap_at)
 
     def _request_if_due(self, now_s: float, found: list[events.Event]) -> None:

@@ -23,6 +23,7 @@ from hostlink.recording.channel import Channel, note_newest
 from hostlink.recording.drives import LastCommand
 from hostlink.recording.folder import MEGABYTE, Folder
 from hostlink.recording.incident import Incident, IncidentRules, OutOfTime, write_incident
+from hostlink.recording.owner import FolderOwner
 from hostlink.recording.recorder import Recorder, TopicSelection
 from hostlink.recording.ring import RingMemory, Rings
 from hostlink.recording.salvage import ABOUT, CLOSED, About, Pending, clear_old, pending_name, salvage
@@ -46,13 +47,14 @@ class BlackBox:
     The memory survives the process if there is a tmpfs. salvage.py then writes what a killed daemon could not write.
     """
 
-    def __init__(self, hub: Hub, folder: Path) -> None:
-        """`folder` is that of the recordings; incidents have a subfolder."""
+    def __init__(self, hub: Hub, folder: Path, owner: FolderOwner | None = None) -> None:
+        """`folder` is that of the recordings, with its owner; incidents have a subfolder."""
         config = hub.config.black_box
         self.folder = Folder(
             folder / "incidents",
             max_disk_mb=config.max_disk_mb,
             min_free_disk_mb=hub.config.recording.min_free_disk_mb,
+            owner=owner,
         )
         self.saved = self.missed = 0  # numbers of incidents
         self.pending: deque[Incident] = deque()

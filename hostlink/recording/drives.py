@@ -15,6 +15,7 @@ import structlog
 from hostlink.detached import DetachedThread
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.recording.owner import FolderOwner
 from hostlink.robot.velocity import PlanarVelocity, Twist
 
 PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is released and pressed again
@@ -51,28 +52,28 @@ class DriveFinder:
     def __init__(self) -> None:
         self._open: dict[_Key, Drive] = {}  # oldest first
         self._began_s: dict[_Key, float] = {}  # loop time of the start
-        self._begun: list[Drive] = []
+        self._changed: dict[_Key, Drive] = {}  # begun, ended or continued
 
     def __len__(self) -> int:
         return len(self._open)
 
     def observe(self, event: RobotEvent) -> bool:
-        """Handle an event of a robot. Return whether a drive has begun."""
+        """Handle an event of a robot. Return whether a drive has begun, ended or continued."""
         if event.kind is EventKind.COMMANDED:
-            return self._command(event)
-        if event.kind is EventKind.STOPPED:
+            self._command(event)
+        elif event.kind is EventKind.STOPPED:
             drive = self._open.get(_Key(event.robot, str(event.facts["owner"])))
             self._end([] if drive is None else [drive], event, str(event.facts["reason"]))
         elif event.kind is EventKind.LOCKED:
             self._end(self._of(event.robot), event, f"locked: {event.facts['reason']}")
         elif event.kind is EventKind.GONE:
             self._end(self._of(event.robot), event, "its device disconnected")
-        return False
+        return bool(self._changed)
 
-    def pop_begun(self) -> list[Drive]:
-        """Remove and return the drives that have started since the last call."""
-        begun, self._begun = self._begun, []
-        return begun
+    def pop_changed(self) -> list[Drive]:
+        """Return the drives that have begun, ended or continued since the last call."""
+        changed, self._changed = self._changed, {}
+        return list(changed.values())
 
     def under_way(self) -> list[Drive]:
         """Return the current drives, oldest first. Paused ones are included."""
@@ -93,23 +94,23 @@ class DriveFinder:
     def _of(self, robot: str) -> list[Drive]:
         return [drive for drive in self._open.values() if drive.robot == robot]
 
-    def _command(self, event: RobotEvent) -> bool:
+    def _command(self, event: RobotEvent) -> None:
         velocity, owner = event.facts["limited"], str(event.facts["owner"])
         assert isinstance(velocity, PlanarVelocity | Twist)  # noqa: S101 - see EventKind
         if velocity.is_zero:
-            return False  # a zero starts no drive
+            return  # a zero starts no drive
         key = _Key(event.robot, owner)
         drive = self._open.get(key)
-        is_new, is_continued = drive is None, drive is not None and not drive.end
+        is_continued = drive is not None and not drive.end
         if drive is None:
             priority = int(str(event.facts["priority"]))
             drive = Drive(
                 robot=event.robot, owner=owner, priority=priority, began_ns=event.stamp_ns, ended_ns=event.stamp_ns
             )
             self._open[key], self._began_s[key] = drive, event.at_s
-            self._begun.append(drive)
-            del self._begun[:-MAX_OPEN]  # bounded, in case no caller reads them
         drive.end = ""
+        if not is_continued:
+            self._note_change(key, drive)
         drive.ended_ns, drive.seconds = event.stamp_ns, event.at_s - self._began_s[key]
         drive.address = str(event.facts["address"])
         drive.commands += 1
@@ -119,20 +120,26 @@ class DriveFinder:
             for other in self._open.values():
                 if other.robot == event.robot and other is not drive and not other.end:
                     self._end([other], event, f"taken over by {owner}")
-        return is_new
 
     def _end(self, drives: list[Drive], event: RobotEvent, reason: str) -> None:
         for drive in drives:
             if not drive.end:
+                key = _Key(drive.robot, drive.owner)
                 drive.end = reason
                 drive.ended_ns = event.stamp_ns
-                drive.seconds = event.at_s - self._began_s[_Key(drive.robot, drive.owner)]
+                drive.seconds = event.at_s - self._began_s[key]
+                self._note_change(key, drive)
+
+    def _note_change(self, key: _Key, drive: Drive) -> None:
+        self._changed[key] = drive
+        if len(self._changed) > MAX_OPEN:  # bounded, in case no caller reads them
+            del self._changed[next(iter(self._changed))]
 
 
 # -- drive file -------------------------------------------------------------------------------------------------------
 
 MAX_RECENT = 1000
-MAX_FILE_BYTES = 1_000_000  # about 2,000 drives with two lines each; one earlier file is kept
+MAX_FILE_BYTES = 1_000_000  # about 2,000 drives with two lines each, and two for each pause; one earlier file is kept
 NAME = "drives.jsonl"
 NAME_BEFORE = "drives.before.jsonl"
 DIED = "the daemon died"  # end of a drive that has only a start line
@@ -147,7 +154,9 @@ class LastCommand(NamedTuple):
 
 
 def append_drives(folder: Path, drives: list[Drive]) -> None:
-    """Append drives, one line each. Start a new file above MAX_FILE_BYTES. Blocks on the disk.
+    """Append drives, one line each. Blocks on the disk.
+
+    Above MAX_FILE_BYTES, keep only the last line of each drive. Start a new file if that leaves most of it.
 
     Raises:
         OSError: the disk failed.
@@ -155,7 +164,13 @@ def append_drives(folder: Path, drives: list[Drive]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / NAME
     if file.exists() and file.stat().st_size > MAX_FILE_BYTES:
-        file.replace(folder / NAME_BEFORE)
+        newest = b"".join(msgspec.json.encode(drive) + b"\n" for drive in _read_file(file))
+        if len(newest) > MAX_FILE_BYTES / 2:
+            file.replace(folder / NAME_BEFORE)
+        else:
+            part = file.with_suffix(".part")
+            part.write_bytes(newest)
+            part.replace(file)
     with file.open("ab+") as stream:
         stream.seek(-min(1, stream.tell()), os.SEEK_END)
         # The last line was cut by a full disk or a power failure; start a new line.
@@ -168,18 +183,7 @@ def read_drives(folder: Path) -> list[Drive]:
 
     A drive without an end has ended with its daemon.
     """
-    found: dict[tuple[str, str, int], Drive] = {}
-    for name in (NAME_BEFORE, NAME):
-        try:
-            lines = (folder / name).read_bytes()[-2 * MAX_FILE_BYTES :].splitlines()
-        except OSError:  # there is no file yet
-            continue
-        for drive in map(_read, lines):
-            if drive is not None:
-                key = (drive.robot, drive.owner, drive.began_ns)
-                found.pop(key, None)
-                found[key] = drive
-    drives = list(found.values())[-MAX_RECENT:]
+    drives = _newest_lines([*_read_file(folder / NAME_BEFORE), *_read_file(folder / NAME)])[-MAX_RECENT:]
     for drive in drives:
         drive.end = drive.end or DIED
     return drives
@@ -206,6 +210,25 @@ def corrected(drive: Drive, commands: list[LastCommand]) -> bool:
     return True
 
 
+def _read_file(file: Path) -> list[Drive]:
+    """Read the last line of each drive; an empty list if there is no file yet."""
+    try:
+        lines = file.read_bytes()[-2 * MAX_FILE_BYTES :].splitlines()
+    except OSError:
+        return []
+    return _newest_lines([drive for drive in map(_read, lines) if drive is not None])
+
+
+def _newest_lines(drives: list[Drive]) -> list[Drive]:
+    """Return the last of each drive, in the order of these."""
+    found: dict[tuple[str, str, int], Drive] = {}
+    for drive in drives:
+        key = (drive.robot, drive.owner, drive.began_ns)
+        found.pop(key, None)
+        found[key] = drive
+    return list(found.values())
+
+
 def _read(line: bytes) -> Drive | None:
     try:
         return msgspec.json.decode(line, type=Drive)
@@ -223,15 +246,15 @@ END_S = 1.0  # to write the last drives
 class DriveLog:
     """Log of all drives, from the events of commands."""
 
-    def __init__(self, hub: Hub, folder: Path, *, is_kept: bool) -> None:
-        """`folder` is that of the recordings. `is_kept`: also write a file there."""
+    def __init__(self, hub: Hub, folder: Path, *, is_kept: bool, owner: FolderOwner | None = None) -> None:
+        """`folder` is that of the recordings, with its owner. `is_kept`: also write a file there."""
         self.lost = 0  # drives that could not be written
-        self._hub, self._folder, self._is_kept = hub, folder, is_kept
+        self._hub, self._folder, self._is_kept, self._owner = hub, folder, is_kept, owner
         self._drives = DriveFinder()
         self._recent: deque[Drive] = deque(maxlen=MAX_RECENT)
         self._observer = hub.join_daemon()
         self._is_open = asyncio.Event()  # set while a drive lasts, and shortly afterwards
-        self._has_begun = asyncio.Event()
+        self._has_changed = asyncio.Event()
         self._turn = asyncio.Lock()  # for access to the file
         self._thread = DetachedThread("drives")
         self._is_failing = False
@@ -241,7 +264,7 @@ class DriveLog:
         if self._is_kept:
             self._recent.extend(await asyncio.to_thread(read_drives, self._folder))
         self._observer.observe(self._receive)
-        self._hub.spawn(self._begin(), name="drives that begin")
+        self._hub.spawn(self._write_changes(), name="drives that change")
         self._hub.spawn(self._finish(), name="drives")
 
     def correct(self, commands: list[LastCommand]) -> None:
@@ -256,7 +279,7 @@ class DriveLog:
             drive.end = drive.end or "hostlink stopped"
         with contextlib.suppress(TimeoutError):  # a dead disk
             async with asyncio.timeout(END_S):
-                await self._write(self._drives.pop_begun())
+                await self._write(self._drives.pop_changed())
                 await self._keep(self._drives.pop_finished(time.time_ns() + 2 * PAUSE_NS))
 
     def newest_first(self, *, robot: str | None = None, limit: int | None = None) -> list[Drive]:
@@ -267,20 +290,22 @@ class DriveLog:
     def _receive(self, event: RobotEvent) -> None:
         if self._drives.observe(event):
             self._is_open.set()
-            self._has_begun.set()
+            self._has_changed.set()
 
-    async def _begin(self) -> None:
-        """Write the start line of each drive, so that a killed daemon leaves it."""
+    async def _write_changes(self) -> None:
+        """Write a line of each drive when it begins, ends or continues, so that a killed daemon leaves it."""
         while True:
-            await self._has_begun.wait()
-            self._has_begun.clear()
-            await self._write(self._drives.pop_begun())
+            await self._has_changed.wait()
+            self._has_changed.clear()
+            await self._write(self._drives.pop_changed())
 
     async def _finish(self) -> None:
         while True:
             await self._is_open.wait()
             await asyncio.sleep(PAUSE_NS / 1e9)
-            await self._keep(self._drives.pop_finished(time.time_ns()))
+            finished = self._drives.pop_finished(time.time_ns())
+            self._recent.extend(finished)
+            await self._write([drive for drive in finished if not drive.end])  # the others are written already
             if not self._drives:
                 self._is_open.clear()
 
@@ -288,12 +313,17 @@ class DriveLog:
         self._recent.extend(drives)
         await self._write(drives)
 
+    def _append(self, drives: list[Drive]) -> None:
+        if self._owner is not None:
+            self._owner.claim()
+        append_drives(self._folder, drives)
+
     async def _write(self, drives: list[Drive]) -> None:
         if not (drives and self._is_kept):
             return
         try:
             async with self._turn:
-                await self._thread.run(lambda: append_drives(self._folder, drives))
+                await self._thread.run(lambda: self._append(drives))
         except OSError as error:
             if not self._is_failing:
                 log.warning("drives.lost", file=str(self._folder / NAME), reason=error.strerror or str(error))

@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import IO, Any
 
 from hostlink.errors import BadPayload, RecordingFailed, UnknownFormat
+from hostlink.plain_text import csv_text
 from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.definitions import why_unknown
 from hostlink.recording.reader import RecordingSource, open_source
 from hostlink.recording.tables import decoder_of, flat
 
 MAX_NAMED = 10  # topics named in a refusal
+OF_TOOLS = ("/parameter_events", "/rosout")  # every node of ROS 2 publishes them for itself
 
 
 @dataclass(slots=True)
@@ -43,7 +45,8 @@ class Exported:
 def chosen_channels(path: Path, patterns: Iterable[str], done: Exported, *, skips_unknown: bool) -> set[Channel]:
     """Return the channels to export: those whose topics match a pattern, or all without patterns.
 
-    `skips_unknown`: channels that cannot be converted are noted in `done` and omitted.
+    `skips_unknown`: channels that cannot be converted are noted in `done` and omitted. Those of ROS 2's own tools are
+    omitted in any case, unless they are named.
 
     Raises:
         UnknownFormat: some channels cannot be converted; the text names them.
@@ -56,8 +59,9 @@ def chosen_channels(path: Path, patterns: Iterable[str], done: Exported, *, skip
         raise RecordingFailed(f"{path} has no topic {' '.join(listed)}; available: {topics or 'none'}")
     unknown = {channel: why for channel in chosen if (why := why_unknown(channel))}
     named = {channel.topic: f"{channel.type_name}: {why}" for channel, why in unknown.items()}
-    if unknown and not skips_unknown:
-        lines = [f"{topic} ({why})" for topic, why in sorted(named.items())]
+    refused = {topic: why for topic, why in named.items() if topic not in OF_TOOLS or topic in listed}
+    if refused and not skips_unknown:
+        lines = [f"{topic} ({why})" for topic, why in sorted(refused.items())]
         more = f"; and {len(lines) - MAX_NAMED} more" if len(lines) > MAX_NAMED else ""
         raise UnknownFormat(
             f"{path}: cannot convert {'; '.join(lines[:MAX_NAMED])}{more}. "
@@ -203,13 +207,18 @@ def _cells(fields: dict[str, Any]) -> Iterator[tuple[str, object]]:
             yield path, value
 
 
+def _safe(value: object) -> object:
+    """Return a value as a cell: a text of a device may be a formula, or contain escape codes."""
+    return csv_text(value) if isinstance(value, str) else value
+
+
 class _File:
     def __init__(self, path: Path, columns: list[str]) -> None:
         self.path, self.lines = path, 0
         self._columns = [_TIME, *columns]
         self._file: IO[str] | None = None
         self._writer: csv.DictWriter[str] | None = None
-        self._open("x").writeheader()
+        self._open("x").writerow({column: csv_text(column) for column in self._columns})
 
     def _open(self, mode: str) -> "csv.DictWriter[str]":
         file = self.path.open(mode, newline="", encoding="utf-8", errors="replace")  # JSON may contain a lone surrogate
@@ -219,7 +228,7 @@ class _File:
     def add(self, stamp_ns: int, cells: dict[str, object]) -> None:
         writer = self._writer or self._open("a")
         seconds, rest_ns = divmod(stamp_ns, NS_PER_S)
-        writer.writerow({_TIME: f"{seconds}.{rest_ns:09d}", **cells})
+        writer.writerow({_TIME: f"{seconds}.{rest_ns:09d}"} | {name: _safe(value) for name, value in cells.items()})
         self.lines += 1
 
     def close(self) -> None:

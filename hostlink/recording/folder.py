@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hostlink.errors import BadRequest
+from hostlink.recording.owner import FolderOwner
 
 # -- disk budget ------------------------------------------------------------------------------------------------------
 
@@ -82,8 +83,11 @@ class DiskUsage:
 class Folder:
     """Folder of recordings. Every method raises the OSError of the disk."""
 
-    def __init__(self, path: Path, *, max_disk_mb: float, min_free_disk_mb: float) -> None:
-        self.path = path
+    def __init__(
+        self, path: Path, *, max_disk_mb: float, min_free_disk_mb: float, owner: FolderOwner | None = None
+    ) -> None:
+        """`owner`: the daemon's claim on the folder; None: another process did not end yet, and this one helps it."""
+        self.path, self.owner = path, owner
         self.max_disk_mb, self.min_free_disk_mb = max_disk_mb, min_free_disk_mb
 
     def file(self, name: str, number: int) -> Path:
@@ -120,12 +124,24 @@ class Folder:
             min_free_bytes=int(self.min_free_disk_mb * MEGABYTE),
         )
 
+    def claim(self) -> None:
+        """Check, before the folder is changed, that no other daemon owns it.
+
+        Raises:
+            FolderTaken: another daemon owns it.
+            OSError: the disk failed.
+        """
+        if self.owner is not None:
+            self.owner.claim()
+
     def make_room(self, is_open: Collection[Path]) -> list[str]:
         """Remove the oldest recordings above the budget. Return their names.
 
         Raises:
+            FolderTaken: another daemon owns the folder.
             OSError: less than `min_free_disk_mb` is free afterwards, or the folder cannot be created.
         """
+        self.claim()
         self.path.mkdir(parents=True, exist_ok=True)
         gone = over_budget(self.files(is_open), int(self.max_disk_mb * MEGABYTE))
         for name in gone:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from hostlink.errors import RecordingFailed
-from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, EventKind, RobotEvent
+from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, ORDERLY, EventKind, RobotEvent
 from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.folder import Folder, StoredFile
 from hostlink.recording.reader import McapReader
@@ -81,6 +81,8 @@ class IncidentRules:
                 return "lease", f"no command from {facts['owner']} within the lease"
             case EventKind.STOPPED if was_driven and facts["reason"] == HOST_AWAY:
                 return "lease", f"{HOST_AWAY} while {facts['owner']} drove"
+            case EventKind.STOPPED if was_driven and facts["reason"] not in ORDERLY:  # the program itself has said why
+                return "lease", f"{facts['owner']} stopped it: {facts['reason']}"
             case EventKind.LOCKED:
                 return "locked", str(facts["reason"])
             case EventKind.GONE if facts["was_moving"]:

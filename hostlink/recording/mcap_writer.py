@@ -200,16 +200,19 @@ class FileThread:
         fsync: bool = False,
         on_end: Callable[[], None] = lambda: None,
         on_file: Callable[[], None] = lambda: None,
+        on_removed: Callable[[Path, int], None] = lambda _path, _messages: None,
     ) -> None:
         """Create the first file. It may wait for the disk, so do not call it in the loop's thread.
 
         `path_of` returns the path of a file by its number, from 0; `on_file` is called in the thread before each file.
-        The recording continues in another file above `max_file_bytes` or `max_file_s`.
+        The recording continues in another file above `max_file_bytes` or `max_file_s`, and when another program removed
+        the file: then `on_removed` is called in the loop with its path and the number of messages that are lost.
 
         Raises:
             OSError: the first file cannot be created.
         """
         self.messages = self.written_bytes = 0
+        self.lost = 0  # of the messages: those in files that another program removed
         # The same offset in every file of the recording.
         self._monotonic_to_steady_ns = time.time_ns() - time.monotonic_ns()
         self._announcements = 0
@@ -220,7 +223,7 @@ class FileThread:
         self.failure: str | None = None
         self._path_of, self._metadata, self._fsync = path_of, dict(metadata), fsync
         self._max_file_bytes, self._max_file_s = max_file_bytes, max_file_s
-        self._on_end, self._on_file = on_end, on_file
+        self._on_end, self._on_file, self._on_removed = on_end, on_file, on_removed
         self._loop = loop
         self._waiting: deque[_QueuedMessage] = deque()
         self._announced: dict[Channel, None] = {}
@@ -238,7 +241,7 @@ class FileThread:
     @property
     def dropped(self) -> int:
         """Number of messages that are not in the files."""
-        return self._not_put + self._not_written
+        return self._not_put + self._not_written + self.lost
 
     def announce(self, channel: Channel) -> None:
         """Add a channel to every file from now on, as long as it is among the newest."""
@@ -282,7 +285,7 @@ class FileThread:
             while not self._ending.wait(WRITE_INTERVAL_S):
                 self._write_waiting()
             self._write_waiting()
-            self._writer.close()
+            self._end_file()
             if self._is_discarded:
                 for path in self.paths:
                     path.unlink(missing_ok=True)
@@ -325,8 +328,20 @@ class FileThread:
         self._begin_next()
         return self._writer.write(channel, stamp_ns, payload, steady_ns)
 
+    def _end_file(self) -> None:
+        """Complete the file; if another program removed it, report that and count its messages as dropped."""
+        if self._writer.is_there:
+            self._writer.close()
+            return
+        path, messages = self._writer.path, self._writer.messages
+        self._writer.abandon()
+        self.paths.remove(path)
+        self.lost += messages
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._on_removed, path, messages)
+
     def _begin_next(self) -> None:
-        self._writer.close()
+        self._end_file()
         self._files_bytes += self._writer.last_size_bytes
         self._writer = self._open()
         self.has_no_room = False
@@ -352,7 +367,7 @@ class FileThread:
             try:
                 writer = McapWriter(path, metadata=self._metadata, fsync=self._fsync)
             except FileExistsError:
-                if not self.paths:
+                if self._number == 1:
                     raise
             else:
                 break

@@ -1,7 +1,7 @@
 """Playback of a recording: when each message is due, which robots it has, and which messages move a robot. Pure."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from hostlink.errors import BadPayload
@@ -80,6 +80,32 @@ def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float =
             end_s = None if velocity.is_zero else due.at_s + LEASE_S / rate
     if end_s is not None:
         yield DueVelocity(end_s, ZERO)
+
+
+class NewestDue:
+    """Filter of velocities that are sent more slowly than they are due: of those that are overdue, only the newest.
+
+    A file may have any number of velocities of one time. A zero is never left out.
+    """
+
+    def __init__(self) -> None:
+        self.left_out = 0
+
+    def of(self, velocities: Iterable[DueVelocity], now_s: Callable[[], float]) -> Iterator[DueVelocity]:
+        """Yield what is to be sent. `now_s`: time since the start of the playback."""
+        overdue: DueVelocity | None = None
+        for due in velocities:
+            if overdue is not None and due.at_s <= now_s():
+                self.left_out += 1
+            elif overdue is not None:
+                yield overdue
+            overdue = None
+            if due.at_s > now_s() or due.velocity.is_zero:
+                yield due
+            else:
+                overdue = due
+        if overdue is not None:
+            yield overdue
 
 
 def is_drive(channel: Channel) -> bool:

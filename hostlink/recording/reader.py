@@ -2,12 +2,13 @@
 
 import bisect
 import contextlib
+import heapq
 import itertools
 import os
 import struct
 import zlib
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -146,7 +147,10 @@ MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; chunks of other writers have a f
 NOT_FINISHED = "the file was not finished"  # the only damage of a file whose writer was killed
 MAX_NAMED = 10  # damaged chunks that are described; the others are counted
 MAX_REASON = 200  # characters of a library's error text
+MAX_WAITING_BYTES = 256 * 1024 * 1024  # of messages that wait for earlier ones, which are further back in the file
+WAITING_BYTES = 200  # memory of a waiting message besides its payload
 _NEVER = 2**64
+_CHUNK_TIMES = struct.Struct("<QQ")  # lowest and highest time of the messages, at the beginning of a chunk
 
 Wanted = Callable[[Channel], bool]
 
@@ -169,7 +173,10 @@ class _FileCut(Damaged):
 
 
 class McapReader:
-    """Reader of one MCAP file, by its index if it has one. `damage` describes what was wrong with the read parts."""
+    """Reader of one MCAP file, by its index if it has one. `damage` describes what was wrong with the read parts.
+
+    hostlink writes messages in the order of arrival. Other writers may use any order, so their messages are sorted.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -185,9 +192,10 @@ class McapReader:
         self._wanted: Wanted = _every
         self._chosen: dict[int, Channel | None] = {}  # None: its messages are not wanted
         self._definitions_left_bytes = MAX_DEFINITIONS_BYTES
+        self._at = 0  # position of the part of the file that is read
 
     def messages(self, wanted: Wanted = _every, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
-        """Yield every readable message of the wanted channels, in the order of writing.
+        """Yield every readable message of the wanted channels, ordered by time.
 
         With an index, chunks without such messages are not read. Messages earlier than `after_s` after the first one
         may be omitted if index and steady times of the file show where they are.
@@ -205,7 +213,42 @@ class McapReader:
                 )
             if index is not None and after_s > 0 and self.has_steady_times:
                 self._leave_out(file, index, int(after_s * NS_PER_S))
-            yield from self._read(file, index)
+            if self.has_steady_times:
+                yield from self._read(file, index)
+            else:
+                yield from self._sorted(self._read(file, index), _Parts(file, index))
+
+    def _sorted(self, messages: Iterable[StoredMessage], parts: "_Parts") -> Iterator[StoredMessage]:
+        """Yield the messages of `_read` ordered by time; of one time in the order of the file.
+
+        `_read` sorts the messages of a part. A message waits while a part behind it begins earlier.
+        """
+        waiting: list[tuple[int, int, StoredMessage]] = []
+        waiting_bytes, floor_ns, next_at, is_told = 0, 0, 0, False
+
+        def pop() -> StoredMessage:
+            nonlocal waiting_bytes
+            message = heapq.heappop(waiting)[-1]
+            waiting_bytes -= len(message.payload) + WAITING_BYTES
+            return message
+
+        for number, message in enumerate(messages):
+            if self._at >= next_at:
+                floor_ns, next_at = parts.floor_behind(self._at)
+            if not waiting and message.steady_ns <= floor_ns:
+                yield message
+                continue
+            heapq.heappush(waiting, (message.steady_ns, number, message))
+            waiting_bytes += len(message.payload) + WAITING_BYTES
+            while waiting and waiting[0][0] <= min(floor_ns, message.steady_ns):
+                yield pop()
+            while waiting_bytes > MAX_WAITING_BYTES:
+                if not is_told:
+                    self._damage.append("its messages are too mixed up to be sorted by time; they are sorted in part")
+                is_told = True
+                yield pop()
+        while waiting:
+            yield pop()
 
     def read_channels(self) -> list[Channel]:
         """Return every channel, also those without a message. A file without an index is read for that.
@@ -280,6 +323,7 @@ class McapReader:
         at, number = len(MAGIC), 0
         try:
             while True:
+                self._at = at
                 if index is not None and number < len(index) and at == index.begins[number]:
                     if not number or index.is_wanted[number]:  # the first chunk has the beginning
                         yield from self._of_indexed_chunk(file, at)
@@ -344,6 +388,8 @@ class McapReader:
         Raises:
             ValueError: a record is cut.
         """
+        if not self.has_steady_times:
+            data = _in_order(data)
         read_head, read_message, chosen = RECORD_HEAD.unpack_from, MESSAGE.unpack_from, self._chosen
         has_steady_times = self.has_steady_times
         at, end = 0, len(data)
@@ -440,6 +486,81 @@ class McapReader:
                 index.is_wanted[number] = False
 
 
+def _in_order(data: bytes) -> bytes:
+    """Return the records of a chunk with its messages in the order of time, behind the others. A cut rest stays."""
+    if _is_ordered(data):
+        return data
+    begins, ends, times = array("Q"), array("Q"), array("Q")
+    others, at, end = [], 0, len(data)
+    while at + RECORD_HEAD.size <= end:
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        begin, at = at, at + RECORD_HEAD.size + length
+        if at > end:
+            at = begin
+            break
+        if opcode == Opcode.MESSAGE and length >= MESSAGE.size:
+            begins.append(begin)
+            ends.append(at)
+            times.append(MESSAGE.unpack_from(data, begin + RECORD_HEAD.size)[2])
+        else:
+            others.append(data[begin:at])
+    order = sorted(range(len(times)), key=times.__getitem__)
+    return b"".join((*others, *(data[begins[number] : ends[number]] for number in order), data[at:]))
+
+
+def _is_ordered(data: bytes) -> bool:
+    at, end, before_ns = 0, len(data), 0
+    while at + RECORD_HEAD.size + MESSAGE.size <= end:
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        if opcode == Opcode.MESSAGE:
+            stamp_ns = MESSAGE.unpack_from(data, at + RECORD_HEAD.size)[2]
+            if stamp_ns < before_ns:
+                return False
+            before_ns = stamp_ns
+        at += RECORD_HEAD.size + length
+    return True
+
+
+class _Parts:
+    """Parts of a file in its order, which are chunks and messages outside chunks: positions and lowest times."""
+
+    def __init__(self, file: IO[bytes], index: Index | None) -> None:
+        """Read the index, or the head of each part. A damaged rest is left out."""
+        self._begins, self._floors_ns = array("Q"), array("Q")
+        with contextlib.suppress(*_DAMAGES):
+            self._scan(file, index)
+        for number in range(len(self._floors_ns) - 1, 0, -1):  # the lowest time of this part and all behind it
+            self._floors_ns[number - 1] = min(self._floors_ns[number - 1], self._floors_ns[number])
+
+    def floor_behind(self, at: int) -> tuple[int, int]:
+        """Return the lowest time behind the part at this position, and the position of the next part."""
+        behind = bisect.bisect_right(self._begins, at)
+        return (self._floors_ns[behind], self._begins[behind]) if behind < len(self._begins) else (_NEVER, _NEVER)
+
+    def _scan(self, file: IO[bytes], index: Index | None) -> None:
+        at, number = len(MAGIC), 0
+        while True:
+            if index is not None and number < len(index) and at == index.begins[number]:
+                self._add(at, index.first_ns[number], index.last_ns[number])
+                at = index.ends[number]
+                number += 1
+                continue
+            opcode, length = _read_head(file, at)
+            if opcode == Opcode.FOOTER:
+                return
+            if opcode == Opcode.CHUNK:
+                self._add(at, *_CHUNK_TIMES.unpack(file.read(_CHUNK_TIMES.size)))
+            elif opcode == Opcode.MESSAGE:
+                stamp_ns = MESSAGE.unpack(file.read(MESSAGE.size))[2]
+                self._add(at, stamp_ns, stamp_ns)
+            at += RECORD_HEAD.size + length
+
+    def _add(self, begin: int, first_ns: int, last_ns: int) -> None:
+        if last_ns:  # both are 0 without messages
+            self._begins.append(begin)
+            self._floors_ns.append(first_ns)
+
+
 def _read_head(file: IO[bytes], at: int) -> tuple[int, int]:
     """Return (opcode, length of the content) of the record at this position.
 
@@ -504,6 +625,8 @@ def _first_steady_ns(file: IO[bytes], index: Index, number: int) -> int | None:
 
 
 ROS1_SUFFIX, ROS2_SUFFIX = ".bag", ".db3"
+UNFINISHED_SUFFIX = ".bag.active"  # of a ROS 1 bag that is being written, or that was not closed
+BAGS = (ROS1_SUFFIX, UNFINISHED_SUFFIX, ROS2_SUFFIX)
 
 
 class BagReader:
@@ -583,9 +706,21 @@ def open_source(path: Path) -> RecordingSource:
         RecordingFailed: it is a folder, but not a bag of ROS 2.
     """
     if path.is_dir() and not (path / "metadata.yaml").is_file():
-        raise RecordingFailed(f"{path} is a folder without metadata.yaml, so it is not a bag of ROS 2; name a file")
-    is_bag = path.is_dir() or path.suffix in (ROS1_SUFFIX, ROS2_SUFFIX)
+        raise RecordingFailed(
+            f"{path} is a folder without metadata.yaml, so it is not a bag of ROS 2; {_files_of(path)}"
+        )
+    is_bag = path.is_dir() or path.name.endswith(BAGS)
     return BagReader(path) if is_bag else McapReader(path)
+
+
+def _files_of(folder: Path) -> str:
+    """Return what to name instead of a folder."""
+    with contextlib.suppress(OSError):
+        found = sorted(each for each in folder.iterdir() if each.name.endswith((".mcap", *BAGS)))
+        if found:
+            more = f" ({len(found)} files)" if len(found) > 1 else ""
+            return f"name a file of it, such as {found[-1]}{more}"
+    return "name a file"
 
 
 def _bag_channel(connection: Any) -> Channel:

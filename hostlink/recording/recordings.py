@@ -1,12 +1,15 @@
 """Recordings: current ones, and the files in the folder."""
 
 import asyncio
+import contextlib
 import functools
 import itertools
+import os
 import re
+import socket
 import time
 from collections.abc import AsyncIterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,11 +17,13 @@ import structlog
 
 from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic, size
 from hostlink.hub.hub import Hub
+from hostlink.listening import spelled
 from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drives import DriveLog
 from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder
 from hostlink.recording.mcap_format import MAGIC
 from hostlink.recording.mcap_writer import MAX_CHANNELS, FileThread
+from hostlink.recording.owner import FolderOwner, FolderTaken
 from hostlink.recording.recorder import Recorder, TopicSelection
 
 log = structlog.get_logger()
@@ -39,6 +44,7 @@ class Recording:
     thread: FileThread
     began_s: float  # loop time
     began_ns: int  # wall time
+    removed: list[str] = field(default_factory=list)  # names of files that another program removed meanwhile
 
     @property
     def seconds(self) -> float:
@@ -63,9 +69,13 @@ class Recordings:
     def __init__(self, hub: Hub) -> None:
         config = hub.config.recording
         path = default_folder() if config.folder is None else config.folder
-        self.folder = Folder(path, max_disk_mb=config.max_disk_mb, min_free_disk_mb=config.min_free_disk_mb)
-        self.black_box = BlackBox(hub, self.folder.path)
-        self.drives = DriveLog(hub, self.folder.path, is_kept=config.drives)
+        api = hub.config.api
+        name = f"the daemon with process id {os.getpid()} on {socket.gethostname()}, API {spelled(api.host, api.port)}"
+        self._owner = FolderOwner(path, name)
+        disk = {"max_disk_mb": config.max_disk_mb, "min_free_disk_mb": config.min_free_disk_mb}
+        self.folder = Folder(path, **disk, owner=self._owner)
+        self.black_box = BlackBox(hub, path, self._owner)
+        self.drives = DriveLog(hub, path, is_kept=config.drives, owner=self._owner)
         self.removed = 0  # old recordings removed for the budget
         self.failed = 0  # recordings that ended by a failure
         self.changes = 0  # changes of the folder: a recording ended, or files were removed
@@ -112,7 +122,7 @@ class Recordings:
 
         Raises:
             BadRequest: the name is invalid.
-            RecordingBusy: the name is in use, or too many recordings are running.
+            RecordingBusy: the name is in use, too many recordings are running, or another daemon owns the folder.
             RecordingFailed: the folder cannot be written to, or its disk is full.
         """
         name = check_name(name) if name else await asyncio.to_thread(self._new_name, selection)
@@ -150,7 +160,7 @@ class Recordings:
         """Remove a file and return its name.
 
         Raises:
-            RecordingBusy: it is being written.
+            RecordingBusy: it is being written, or another daemon owns the folder.
             UnknownTopic: there is none of that name.
             RecordingFailed: the disk refuses.
         """
@@ -160,18 +170,24 @@ class Recordings:
         if path in self.open_files():
             raise RecordingBusy(f"{path.name} is being written; stop the recording first")
         try:
-            await asyncio.to_thread(path.unlink)
+            await asyncio.to_thread(self._unlink, path)
+        except FolderTaken as error:
+            raise RecordingBusy(error.strerror) from error
         except OSError as error:
             raise RecordingFailed(f"{path.name}: {error.strerror}") from error
         self.changes += 1
         return path.name
+
+    def _unlink(self, path: Path) -> None:
+        self.folder.claim()
+        path.unlink()
 
     async def store(self, name: str, size_bytes: int, pieces: AsyncIterable[bytes]) -> Path:
         """Store a recording that a client sends, one at a time. No other recording is removed for it.
 
         Raises:
             BadRequest: the name is invalid, the bytes are not MCAP, or are not `size_bytes`.
-            RecordingBusy: the name is in use, or another file is being sent.
+            RecordingBusy: the name is in use, another file is being sent, or another daemon owns the folder.
             RecordingFailed: the disk has no room for `size_bytes`, or cannot be written to.
             TimeoutError: no piece came in time.
         """
@@ -189,6 +205,8 @@ class Recordings:
             await asyncio.to_thread(part.rename, path)
         except TimeoutError:  # of the pieces
             raise
+        except FolderTaken as error:
+            raise RecordingBusy(error.strerror) from error
         except OSError as error:
             raise RecordingFailed(f"{path.name}: {error.strerror or error}") from error
         finally:
@@ -205,7 +223,9 @@ class Recordings:
         Raises:
             RecordingBusy: the file exists.
             RecordingFailed: there is no room for it.
+            FolderTaken: another daemon owns the folder.
         """
+        self.folder.claim()
         if path.exists():
             raise RecordingBusy(f"a recording named {path.stem} already exists; choose another name")
         usage = self.folder.usage()
@@ -219,6 +239,8 @@ class Recordings:
 
     async def open(self) -> None:
         """Start the drive log and the black box."""
+        with contextlib.suppress(OSError):  # the check of the configuration warns, and each write reports it
+            await asyncio.to_thread(self._owner.claim)
         await self.drives.start()
         self.black_box.start(self.drives.correct)
 
@@ -228,6 +250,7 @@ class Recordings:
             tasks.create_task(self.black_box.aclose(), name="end of the black box")
             for name in list(self._under_way):
                 tasks.create_task(self.stop(name), name=f"end of recording {name}")
+        self._owner.release()
 
     async def _open(self, name: str, owner: str, selection: TopicSelection) -> FileThread:
         make = functools.partial(
@@ -245,6 +268,7 @@ class Recordings:
             fsync=self._config.fsync,
             on_end=lambda: self._note_end(name),
             on_file=self._make_room,
+            on_removed=lambda path, lost: self._note_removed(name, path, lost),
         )
         opening = asyncio.get_running_loop().run_in_executor(None, make)
         try:
@@ -254,6 +278,8 @@ class Recordings:
             raise
         except FileExistsError:
             raise RecordingBusy(f"a recording named {name} already exists; choose another name") from None
+        except FolderTaken as error:
+            raise RecordingBusy(error.strerror) from error
         except OSError as error:
             raise RecordingFailed(f"{self.folder.path}: {error.strerror or error}") from error
 
@@ -262,6 +288,13 @@ class Recordings:
         removed = len(self.folder.make_room(self.open_files()))
         self.removed += removed
         self.changes += removed > 0
+
+    def _note_removed(self, name: str, path: Path, lost: int) -> None:
+        """Tell that another program removed a file that was being written."""
+        log.error("recording.file_removed", recording=name, file=str(path), lost=lost)
+        if name in self._under_way:
+            self._under_way[name].removed.append(path.name)
+        self.changes += 1
 
     async def _look_after(self, recording: Recording) -> None:
         is_crowded = False
@@ -286,7 +319,7 @@ class Recordings:
             thread = recording.thread
             self._ended = self._ended.plus(thread)
             written_mb = thread.written_bytes / MEGABYTE
-            facts = {"messages": thread.messages, "dropped": thread.dropped, "megabytes": written_mb}
+            facts = {"messages": thread.messages - thread.lost, "dropped": thread.dropped, "megabytes": written_mb}
             if thread.failure is None:
                 log.info("recording.stopped", recording=recording.name, **facts)
             else:

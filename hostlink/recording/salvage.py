@@ -208,8 +208,8 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     unchanged.
 
     Raises:
-        RecordingFailed: the file cannot be read or written, is not an MCAP file, is a damaged file of another
-            program, or is still being written.
+        RecordingFailed: the file cannot be read or written, is not an MCAP file, has no readable message, is a damaged
+            file of another program, or is still being written.
     """
     _check_left(path)
     reader = McapReader(path)
@@ -226,6 +226,8 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
                     raise RecordingFailed(f"{path} has more than {MAX_CHANNELS} channels")
                 if writer.messages % 10_000 == 0:
                     on_progress(writer.messages)
+            if not writer.messages and reader.damage:
+                raise RecordingFailed(f"{path} has no readable message, and was not changed: {reader.damage[0]}")
             for channel in reader.channels:
                 writer.announce(channel)
             writer.add_metadata(reader.metadata)

@@ -34,10 +34,13 @@ epoch that is not the current one or is from before the newest stop or pause: th
 | zero while another source drives                                    | refused: held        |
 | non-zero command of one more source than MAX_SOURCES                | refused: crowded     |
 
-Each refused non-zero command counts as one that the source still gives: an interruption disarms this source, too. A
+Each refused non-zero command counts as one that the source still gives: an interruption disarms this source, too. That
+holds without a record of it: after an interruption that followed a `crowded` refusal, or a dropped record, within a
+lease, every source without a record is disarmed until a lease has passed without such a refusal. A
 zero that is refused arms its source all the same. An admitted command holds the robot at its priority for a lease. A
 source of the same priority takes the robot over. The lease of a command that waited is shorter by that time. A stop
-and a lock do not shorten the time for which the robot is held.
+and a lock do not shorten the time for which the robot is held. A zero ends it, except for a source that drives another
+velocity topic of the robot.
 
 A command without the current epoch is from before a stop if it has waited, here or on its way, since more than
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
@@ -187,6 +190,7 @@ class Lease(NamedTuple):
     source: Hashable
     priority: int
     deadline_s: float
+    has_let_go: bool = False  # its newest command is a zero
 
 
 ADMITTED = Decision()
@@ -234,6 +238,8 @@ class Admission:
     _joined: dict[Hashable, EarlierMotion] = field(default_factory=dict)
     _disconnected_s: float = float("-inf")
     _stopped_s: float = float("-inf")
+    _unrecorded_s: float = float("-inf")  # the newest non-zero command of a source without a record
+    _unarmed_until_s: float = float("-inf")  # sources without a record are disarmed until then
 
     # -- commands -----------------------------------------------------------------------------------------------------
 
@@ -244,6 +250,7 @@ class Admission:
             return self._decide_zero(command, now_s, topic)
         source = self._source(command, now_s)
         if source is None:
+            self._note_unrecorded(now_s, now_s)
             reason = f"more than {MAX_SOURCES} sources command this robot at once; stop some of them"
             return self._refuse(RefusalKind.CROWDED, reason)
         if now_s >= source.commanded_s + self.lease_s:
@@ -294,6 +301,11 @@ class Admission:
         """A zero is admitted at any age, but one that may be from before an interruption arms nothing."""
         owner = command.source
         source = self._sources.get(owner)
+        has_room = len(self._sources) < MAX_SOURCES and now_s < command.received_s + self.lease_s
+        if source is None and command.sent_s is not None and has_room:
+            source = self._sources[owner] = _Source(priority=command.priority)  # tells how late a later command is
+        if source is not None:
+            self._let_go(source, owner, topic)
         waited_s = now_s - command.received_s if source is None else source.waited_s(command, now_s)
         if not self._late_text(command, waited_s):
             self._joined.pop(owner, None)
@@ -311,16 +323,27 @@ class Admission:
             return self._refuse(RefusalKind.HELD, reason, driver.source)
         return ADMITTED
 
+    def _let_go(self, source: _Source, owner: Hashable, topic: Hashable) -> None:
+        """End the hold of a source that gave a zero to one topic, unless it drives another one."""
+        lease = self._drivers.get(topic)
+        if lease is not None and lease.source == owner:
+            self._drivers[topic] = lease._replace(has_let_go=True)
+        drives = (each.deadline_s for each in self._drivers.values() if each.source == owner and not each.has_let_go)
+        source.held_until_s = max(drives, default=float("-inf"))
+
     def _source(self, command: Command[Any], now_s: float) -> _Source | None:
         """Return the record of a source, the last of all; None where there is room for no other.
 
-        A record of a quiet source may be dropped, because a new source is armed. A disarmed one is never forgotten.
+        A record of a quiet source may be dropped, because a new source is armed, unless it may have been commanding
+        without a record when the robot was interrupted. A disarmed one is never forgotten.
         """
         source = self._sources.pop(command.source, None)
         if source is None:
             if len(self._sources) >= MAX_SOURCES and not self._forget_one(command.priority, now_s):
                 return None
             source = _Source(priority=command.priority)
+            if now_s < self._unarmed_until_s:
+                source.is_armed, source.commanded_s = False, now_s
         self._sources[command.source] = source
         return source
 
@@ -330,12 +353,22 @@ class Admission:
                 del self._sources[owner]
                 return True
         driving = {driver.source for driver in self._drivers.values()}
-        armed = [owner for owner, source in self._sources.items() if source.is_armed and owner not in driving]
+        armed = [
+            owner
+            for owner, source in self._sources.items()
+            if source.is_armed and not source.has_lost_device and owner not in driving
+        ]
         least = min(armed, key=lambda owner: self._sources[owner].priority, default=None)
         if least is None or self._sources[least].priority >= priority:
             return False
-        del self._sources[least]
+        self._note_unrecorded(self._sources.pop(least).commanded_s, now_s)
         return True
+
+    def _note_unrecorded(self, commanded_s: float, now_s: float) -> None:
+        """Note a non-zero command of a source that has no record, or has none from now on."""
+        self._unrecorded_s = max(self._unrecorded_s, commanded_s)
+        if now_s < self._unarmed_until_s:
+            self._unarmed_until_s = now_s + self.lease_s
 
     def _other_holder(self, owner: Hashable, now_s: float) -> Hashable:
         """Return the other source of the highest priority that holds the robot; None: no other holds it."""
@@ -377,9 +410,16 @@ class Admission:
         self._drivers.pop(topic, None)
 
     def withdraw(self, owner: Hashable) -> None:
-        """Forget a source that has left, or whose command does not fit the device; what it drove stops."""
+        """Forget a source that has left; what it drove stops."""
         self._sources.pop(owner, None)
         self._joined.pop(owner, None)
+        self.end_drives(owner)
+
+    def end_drives(self, owner: Hashable) -> None:
+        """End all leases of a source, whose command does not fit the device. The source still commands."""
+        source = self._sources.get(owner)
+        if source is not None:
+            source.held_until_s = float("-inf")
         self._drivers = {topic: driver for topic, driver in self._drivers.items() if driver.source != owner}
 
     # -- interruptions ------------------------------------------------------------------------------------------------
@@ -399,10 +439,16 @@ class Admission:
         if came_s is not None:
             self._stopped_s = max(self._stopped_s, came_s)
         self._drivers.clear()
+        if since_s < self._unrecorded_s + self.lease_s:
+            self.distrust(now_s)
         for source in self._sources.values():
             if source.has_lost_device or since_s < source.commanded_s + self.lease_s:
                 # Commands that waited through a pause are read now, so a lease without commands begins now.
                 source.is_armed, source.commanded_s = False, now_s
+
+    def distrust(self, now_s: float) -> None:
+        """Disarm every source without a record: it may be in the middle of a motion from before an interruption."""
+        self._unarmed_until_s = now_s + self.lease_s
 
     def lock(self, reason: str, now_s: float, *, by: str | None = None) -> None:
         """Refuse every non-zero command until `unlock`. `by` is who locks."""

@@ -7,7 +7,11 @@ from typing import NamedTuple
 from hostlink.robot.kinematics import Pose, wrap_angle
 
 SETTLE_S = 1.2  # at zero after each leg: a robot stops within 0.6 s, and its poses are a tenth of a second late
-STOP_EARLY_S = 0.15  # a pose is so old when the command that it leads to has an effect
+STOP_LAG_S = 0.05  # from a pose to the end of its command's effect; each leg learns that of this robot
+LONGEST_LAG_S = 0.5
+POSE_INTERVAL_S = 0.1  # until two poses have come
+MAX_CORRECTIONS = 2  # of one leg: a robot that follows badly must not turn to and fro
+CLOSE_M, CLOSE_RAD = 0.008, 0.015  # a leg whose end is so near is done: a pose at the lowest speed
 SLOW_M_S, SLOW_RAD_S = 0.08, 0.3  # at the end of a leg; at lower speeds a geared motor does not turn
 SLOW_FROM_M, SLOW_FROM_RAD = 0.15, 0.5  # what then remains
 HEADING_PER_S = 1.5  # of a heading's error: how a line is followed
@@ -51,6 +55,9 @@ def square(side_m: float, way: int) -> tuple[Leg, ...]:
 class CourseFollower:
     """Decides the velocity at each pose. The corners are at the places of the course, independent of earlier errors.
 
+    A leg ends at the pose that is nearest to its end, with the way that the robot goes on for after the zero. That way
+    is learned at each end. If the robot settles away from the end, it drives the rest, forwards or back.
+
     A robot whose odometry does not advance as commanded is stopped: it may be driving all the same.
     """
 
@@ -61,9 +68,15 @@ class CourseFollower:
         self._start = Pose()  # of this leg, as the course has it
         self._heading_rad = 0.0  # whole turns stay in it
         self._last: Pose | None = None
+        self._updated_s = math.nan
+        self._interval_s = POSE_INTERVAL_S  # between two poses
         self._settled_at_s: float | None = None
         self._progress = _Progress()
         self._steps = 0  # of the turn back to the line
+        self._corrections = 0  # of this leg
+        self._began_s: float | None = None  # when the robot began to move, on this leg or on its rest
+        self._lag_s = STOP_LAG_S
+        self._ended_at = (0.0, 1.0)  # what was left at the zero, and the speed before it
 
     @property
     def legs_left(self) -> int:
@@ -72,28 +85,39 @@ class CourseFollower:
 
     @property
     def is_settling(self) -> bool:
-        """Whether the end of a leg was reached, and the robot is given time to stop."""
-        return self._settled_at_s is not None
+        """Whether the end of a leg was reached, and the robot is given time to stop, or drives the rest."""
+        return self._settled_at_s is not None or self._corrections > 0
 
     def update(self, pose: Pose, now_s: float) -> tuple[float, float]:
         """The velocity (m/s, rad/s) at this pose, which is counted from where the course began."""
         if self._last is not None:
             self._heading_rad += wrap_angle(pose.theta_rad - self._last.theta_rad)
-        self._last = pose
+            if now_s > self._updated_s:
+                self._interval_s = min(now_s - self._updated_s, 2 * POSE_INTERVAL_S)
+        self._last, self._updated_s = pose, now_s
         if self._settled_at_s is not None:
             if now_s < self._settled_at_s:
                 return 0.0, 0.0
             self._settled_at_s = None
-            self._begin_next()
+            self._settle(self._legs[0], pose)
         if self.is_done or self.is_stuck:
             return 0.0, 0.0
         leg = self._legs[0]
-        velocity = self._turn(leg, now_s) if leg.turn_rad else self._line(leg, pose, now_s)
-        if self.is_stuck:
-            return 0.0, 0.0
+        velocity = self._turn(leg, pose, now_s) if leg.turn_rad else self._line(leg, pose, now_s)
         if velocity is None:
             self._settled_at_s = now_s + SETTLE_S
         return velocity or (0.0, 0.0)
+
+    def _settle(self, leg: Leg, pose: Pose) -> None:
+        """Learn how far the robot has gone on after the zero. Begin the next leg, unless a rest of this one is left."""
+        left = self._left(leg, pose)
+        left_before, speed = self._ended_at
+        self._lag_s = min(max((left_before - left * math.copysign(1.0, speed)) / abs(speed), 0.0), LONGEST_LAG_S)
+        if abs(left) > (CLOSE_RAD if leg.turn_rad else CLOSE_M) and self._corrections < MAX_CORRECTIONS:
+            self._corrections += 1
+            self._progress, self._began_s = _Progress(), None
+        else:
+            self._begin_next()
 
     def _begin_next(self) -> None:
         leg = self._legs.pop(0)
@@ -104,25 +128,57 @@ class CourseFollower:
             start.theta_rad + leg.turn_rad,  # whole turns stay in it
         )
         self.is_done = not self._legs
-        self._progress, self._steps = _Progress(), 0
+        self._progress, self._began_s, self._steps, self._corrections = _Progress(), None, 0, 0
 
-    def _turn(self, leg: Leg, now_s: float) -> tuple[float, float] | None:
-        way = math.copysign(1.0, leg.turn_rad)
-        left_rad = (self._start.theta_rad + leg.turn_rad - self._heading_rad) * way
-        self.is_stuck = self._progress.has_ended(left_rad, STUCK_RAD, now_s)
-        speed_rad_s = SLOW_RAD_S if left_rad < SLOW_FROM_RAD else self._speed.angular_rad_s
-        return None if left_rad <= speed_rad_s * STOP_EARLY_S else (0.0, way * speed_rad_s)
+    def _left(self, leg: Leg, pose: Pose) -> float:
+        """Return the rest of a leg, in its own direction: m of a line, rad counter-clockwise of a turn."""
+        start = self._start
+        if leg.turn_rad:
+            return start.theta_rad + leg.turn_rad - self._heading_rad
+        dx_m, dy_m = pose.x_m - start.x_m, pose.y_m - start.y_m
+        return leg.forward_m - (dx_m * math.cos(start.theta_rad) + dy_m * math.sin(start.theta_rad))
+
+    def _has_ended(self, left: float, speed: float, way: float, now_s: float) -> bool:
+        """Whether the place where the robot stops is nearer to the end now than at the next pose."""
+        if self._began_s is None:
+            self._began_s = now_s
+        self._ended_at = left, way * speed
+        on_its_way_s = min(self._lag_s, now_s - self._began_s)  # of commands that have had no effect yet
+        return left <= speed * (on_its_way_s + self._interval_s / 2)
+
+    def _is_stuck(self, left: float, least: float, now_s: float) -> bool:
+        """Whether the leg ends because the robot does not advance. A leg that has arrived once is done then."""
+        if not self._progress.has_ended(left, least, now_s):
+            return False
+        if self._corrections:
+            self._begin_next()
+        else:
+            self.is_stuck = True
+        return True
+
+    def _turn(self, leg: Leg, pose: Pose, now_s: float) -> tuple[float, float] | None:
+        left_rad = self._left(leg, pose)
+        way = math.copysign(1.0, left_rad if self._corrections else leg.turn_rad)
+        left_rad *= way
+        if self._is_stuck(left_rad, STUCK_RAD, now_s):
+            return 0.0, 0.0
+        speed_rad_s = min(SLOW_RAD_S if left_rad < SLOW_FROM_RAD else math.inf, self._speed.angular_rad_s)
+        return None if self._has_ended(left_rad, speed_rad_s, way, now_s) else (0.0, way * speed_rad_s)
 
     def _line(self, leg: Leg, pose: Pose, now_s: float) -> tuple[float, float] | None:
-        start = self._start
-        cos, sin = math.cos(start.theta_rad), math.sin(start.theta_rad)
-        dx_m, dy_m = pose.x_m - start.x_m, pose.y_m - start.y_m
-        left_m = leg.forward_m - (dx_m * cos + dy_m * sin)
-        self.is_stuck = self._progress.has_ended(left_m, STUCK_M, now_s)
-        speed_m_s = SLOW_M_S if left_m < SLOW_FROM_M else self._speed.linear_m_s
-        if left_m <= speed_m_s * STOP_EARLY_S:
+        left_m = self._left(leg, pose)
+        way = math.copysign(1.0, left_m) if self._corrections else 1.0
+        left_m *= way
+        if self._is_stuck(left_m, STUCK_M, now_s):
+            return 0.0, 0.0
+        speed_m_s = min(SLOW_M_S if left_m < SLOW_FROM_M else math.inf, self._speed.linear_m_s)
+        if self._has_ended(left_m, speed_m_s, way, now_s):
             return None
-        sideways_m = dy_m * cos - dx_m * sin
+        if self._corrections:
+            return way * speed_m_s, 0.0
+        start = self._start
+        dx_m, dy_m = pose.x_m - start.x_m, pose.y_m - start.y_m
+        sideways_m = dy_m * math.cos(start.theta_rad) - dx_m * math.sin(start.theta_rad)
         back_rad = max(-0.5, min(0.5, SIDEWAYS_RAD_PER_M * sideways_m))
         turn_rad_s = -HEADING_PER_S * (self._heading_rad - start.theta_rad + back_rad)
         steps = max(-MOST_TURN_RAD_S, min(MOST_TURN_RAD_S, turn_rad_s)) / TURN_STEP_RAD_S

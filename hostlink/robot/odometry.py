@@ -122,6 +122,9 @@ WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
 CLOSEST_S = 0.005  # of those that are kept of a device that publishes faster
 SHORTEST_S = 0.05  # poses that a network delivered together carry no speed
 SHORTEST_SPAN_S = 0.1  # between poses of one read, in truth
+MAX_BUNCHES, FEWEST_BUNCHES = 8, 2  # of messages, from which their period is measured
+BUNCHED = 1.5  # messages a bunch: fewer are single delays
+TOGETHER = 1 / 8  # of the period between two messages of a bunch: a device that leaves some out sends none so close
 LONGEST_S = 2.0  # over a longer silence anything may have happened, a restart too
 RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be commanded, and what a late pose adds
 SHAKE_M = 0.02
@@ -168,10 +171,60 @@ class _Change(Enum):
 _ORIGIN = _NO_FRAME = Pose()
 
 
+class SendTimes:
+    """Estimate of when each message was sent, for a device whose messages arrive in bunches. Pure.
+
+    A radio or a buffer delays them by up to a bunch. The last one of a bunch has waited least, so it counts as sent
+    when it arrived, and those of the next bunch follow it at the mean period. Without bunches, a message was sent when
+    it arrived: a device that leaves some out is late by itself.
+    """
+
+    __slots__ = ("_arrived_s", "_count", "_ends", "_period_s", "_sent_s")
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._arrived_s = self._sent_s = -math.inf
+        self._period_s = 0.0
+        self._ends: list[tuple[float, int]] = []  # arrival and number of the last message of each recent bunch
+
+    def add(self, at_s: float) -> float:
+        """Note the arrival of the next message. Return when it was sent."""
+        gap_s = at_s - self._arrived_s
+        if gap_s > LONGEST_S:
+            self._ends.clear()
+            self._period_s = 0.0
+        elif gap_s > self._period_s * TOGETHER:
+            self._end_bunch()
+        self._count, self._arrived_s = self._count + 1, at_s
+        self._sent_s = max(self._sent_s, min(self._expected_s(), at_s))
+        return self._sent_s
+
+    def _end_bunch(self) -> None:
+        ends, apart_s = self._ends, self._period_s * TOGETHER
+        while ends and self._arrived_s - ends[-1][0] <= apart_s:  # the period was too short when it was noted
+            ends.pop()
+        ends.append((self._arrived_s, self._count))
+        del ends[:-MAX_BUNCHES]
+        while len(ends) > 1 and ends[1][0] - ends[0][0] <= apart_s:
+            del ends[0]
+        if len(ends) > 1:
+            self._period_s = (ends[-1][0] - ends[0][0]) / (ends[-1][1] - ends[0][1])
+
+    def _expected_s(self) -> float:
+        """Time at which the newest message was sent, if the bunches are regular."""
+        ends, bunches = self._ends, len(self._ends) - 1
+        if bunches < FEWEST_BUNCHES or ends[-1][1] - ends[0][1] < BUNCHED * bunches or self._period_s < CLOSEST_S:
+            return self._arrived_s
+        longest_s = max(after[0] - before[0] for before, after in itertools.pairwise(ends))
+        sent_s = ends[-1][0] + (self._count - ends[-1][1]) * self._period_s
+        return max(sent_s, self._arrived_s - longest_s)
+
+
 class OdometryEstimator:
     """Newest pose of a device, and its motion over the poses of the last WINDOW_S.
 
-    Poses of one read have one arrival time; only the last of them counts for the motion. Of a device that publishes
+    Poses of one read have one arrival time; only the last of them counts for the motion, unless they arrive in bunches
+    all the time: then `SendTimes` estimates when they were sent. Of a device that publishes
     hundreds in a second one in CLOSEST_S counts: each snapshot reads all of them. One pose from before the
     window is kept, so that a motion is never measured over the few milliseconds between two late poses.
 
@@ -185,8 +238,9 @@ class OdometryEstimator:
     """
 
     __slots__ = (
-        "_back_at_once", "_continues", "_correction", "_doubtful", "_fastest", "_frame", "_newest", "_reset_until_s",
-        "_small_m", "_small_rad", "_stamp_ns", "_twist", "_window", "count", "ignored", "is_differential", "restarts",
+        "_arrived_s", "_back_at_once", "_continues", "_correction", "_doubtful", "_fastest", "_frame", "_newest",
+        "_reset_until_s", "_send_times", "_small_m", "_small_rad", "_stamp_ns", "_twist", "_window", "count", "ignored",
+        "is_differential", "restarts",
     )  # fmt: skip
 
     def __init__(
@@ -214,6 +268,8 @@ class OdometryEstimator:
         self._twist: PlanarVelocity | None = None  # as the device publishes it; None: it publishes only poses
         self._stamp_ns = 0
         self._window: list[_Sample] = []
+        self._send_times = SendTimes()
+        self._arrived_s = 0.0
 
     def change_fastest(self, fastest: PlanarVelocity) -> None:
         """Set what the robot may be commanded from now on."""
@@ -235,8 +291,20 @@ class OdometryEstimator:
         """The device was commanded to make its place the origin: the next pose there is right."""
         self._reset_until_s = now_s + RESET_WAIT_S
 
-    def update(self, pose: Pose, *, now_s: float, wall_ns: int, twist: PlanarVelocity | None = None) -> None:
-        """Add a pose; one that cannot be true is not counted."""
+    def update(
+        self,
+        pose: Pose,
+        *,
+        now_s: float,
+        wall_ns: int,
+        twist: PlanarVelocity | None = None,
+        is_stamped: bool = False,
+    ) -> None:
+        """Add a pose; one that cannot be true is not counted.
+
+        `wall_ns` is its arrival, or if it `is_stamped` the time of the device's own stamp.
+        """
+        sent_s = self._send_times.add(now_s)
         new = _Sample(now_s, self.count + 1, pose)
         if self._is_small_motion(new):
             if self._correction is not None:
@@ -246,14 +314,16 @@ class OdometryEstimator:
             return
         self.count += 1
         window = self._window
-        is_close = len(window) > 1 and now_s - window[-2].at_s < CLOSEST_S
-        if is_close or (window and window[-1].at_s == now_s):
+        is_close = len(window) > 1 and sent_s - window[-2].at_s < CLOSEST_S
+        if is_close or (window and window[-1].at_s == sent_s):
             window.pop()
         is_framed = self._frame is not _NO_FRAME
-        window.append(_Sample(now_s, self.count, placed(self._frame, pose)) if is_framed else new)
-        while len(window) > 1 and window[1].at_s <= now_s - WINDOW_S:
+        window.append(_Sample(sent_s, self.count, placed(self._frame, pose) if is_framed else pose))
+        while len(window) > 1 and window[1].at_s <= sent_s - WINDOW_S:
             del window[0]
-        self._newest = new
+        self._newest, self._arrived_s = new, now_s
+        if not is_stamped and sent_s < now_s:
+            wall_ns -= round((now_s - sent_s) * _NS_PER_S)
         self._twist = self._true_twist(twist) if twist is not None and twist.is_finite else None
         if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:
             self._stamp_ns = wall_ns
@@ -286,7 +356,7 @@ class OdometryEstimator:
             pose=last.pose,
             twist=self._twist or self._estimate(),
             stamp_ns=self._stamp_ns,
-            age_s=now_s - last.at_s,
+            age_s=now_s - self._arrived_s,
             rate_hz=(last.number - first.number) / span_s if span_s >= SHORTEST_S else 0.0,
             count=self.count,
             restarts=self.restarts,

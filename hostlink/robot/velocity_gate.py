@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from hostlink.compiled import mypyc_attr
 from hostlink.errors import CommandRefused, ConfigError
@@ -126,6 +126,13 @@ class GateCounts:
     stops: int = 0
 
 
+class EndedLease(NamedTuple):
+    """Lease that ended by itself, and whether its source had let go: its last command was a zero."""
+
+    lease: Lease
+    was_let_go: bool
+
+
 @mypyc_attr(allow_interpreted_subclasses=True)
 class VelocityGate(Generic[V]):
     """Output to the device of one velocity topic: admitted velocities within the limits, and zeros.
@@ -160,6 +167,7 @@ class VelocityGate(Generic[V]):
         self.counts = GateCounts()
         self.driver: Lease | None = None  # the source that drives, and the end of its lease
         self.target = self.zero  # the newest command within the limits
+        self._ended: EndedLease | None = None
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")
 
@@ -219,6 +227,8 @@ class VelocityGate(Generic[V]):
         self.counts.commands += 1
         if velocity.is_zero and self.driver is None:
             self._zeros = max(self._zeros, 1)
+            if self._ended is not None and self._ended.lease.source == command.source:
+                self._ended = EndedLease(self._ended.lease, was_let_go=True)
             return self.zero
         if self.driver is None and self.current.is_zero:
             self._stepped_at_s = now_s
@@ -228,15 +238,24 @@ class VelocityGate(Generic[V]):
         self.counts.limited += self.target != velocity
         return self.target
 
+    def pop_ended(self) -> EndedLease | None:
+        """Remove and return a lease that ended by itself, in a command or a step.
+
+        Call it after each of them. A lease that `stop` ends is not returned.
+        """
+        ended, self._ended = self._ended, None
+        return ended
+
     def stop(self, *, now_s: float) -> None:
         """End the lease, and brake as hard as the limits allow."""
         self._expire(now_s)
         self._stop(now_s)
+        self._ended = None
 
     def stop_at_once(self) -> None:
         """End the lease, and give zero at once, without the limit of deceleration."""
         self.admission.end(self)
-        self.driver = None
+        self.driver = self._ended = None
         self.current = self.target = self.zero
         self._zeros = ZEROS
 
@@ -283,6 +302,7 @@ class VelocityGate(Generic[V]):
     def _expire(self, now_s: float) -> None:
         if self.driver is not None and self.admission.driver(self, now_s) is None:
             self.counts.expired += now_s >= self.driver.deadline_s
+            self._ended = EndedLease(self.driver, was_let_go=self.target.is_zero)
             self._stop(min(now_s, self.driver.deadline_s))
 
     def _stop(self, at_s: float) -> None:

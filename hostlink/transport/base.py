@@ -27,6 +27,11 @@ class Transport(Protocol):
         ...
 
     @property
+    def is_behind(self) -> bool:
+        """Whether the system may have more bytes behind those that were received."""
+        ...
+
+    @property
     def is_ended(self) -> bool:
         """Whether the connection ended, so that no more bytes arrive."""
         ...

@@ -22,12 +22,15 @@ class BufferedConnection(asyncio.BufferedProtocol):
     """
 
     __slots__ = (
-        "_error", "_is_paused", "_lost", "_received", "_writable", "is_ended", "is_writing_paused", "on_readable",
-        "transport",
+        "_error", "_is_paused", "_lost", "_received", "_writable", "is_behind", "is_ended", "is_writing_paused",
+        "on_readable", "transport",
     )  # fmt: skip
+
+    full_read_bytes = READ_BYTES  # a read of fewer bytes has left none in the system
 
     def __init__(self) -> None:
         self.transport: asyncio.Transport
+        self.is_behind = False  # whether the system may have more bytes behind those that were received
         self.is_writing_paused = False
         self.is_ended = False
         self.on_readable: Callable[[], None] = ignore
@@ -92,6 +95,7 @@ class BufferedConnection(asyncio.BufferedProtocol):
         if len(received) >= READ_BYTES and not self._is_paused:
             self._is_paused = True
             self.transport.pause_reading()
+        self.is_behind = self._is_paused or nbytes >= self.full_read_bytes
         self.on_readable()
 
     def data_received(self, data: bytes) -> None:

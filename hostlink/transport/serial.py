@@ -18,6 +18,7 @@ from serial.tools import list_ports
 from hostlink.config import SerialConfig
 from hostlink.transport.base import READ_BYTES
 from hostlink.transport.connection import StreamTransport
+from hostlink.transport.port_users import users_of
 
 # -- ports ------------------------------------------------------------------------------------------------------------
 
@@ -63,7 +64,9 @@ def _listed(names: Iterable[str]) -> str:
 
 DTR_PULSE_S = 0.1  # the boards' capacitor needs a tenth of this
 _CFLAG = 2  # index in the result of tcgetattr
+TTY_BYTES = 4095  # most that Linux returns in one read of a port; the rest waits in the driver
 LEAVE_CHECK_S = 0.01  # 10 ms correspond to 58 bytes at 57600 baud
+_BUSY = (errno.EBUSY, errno.EAGAIN)
 _ADVICE = {
     errno.EACCES: "no permission: add this user to the group dialout, then log in again",
     errno.EBUSY: "another program has it open",
@@ -110,7 +113,7 @@ def _open(config: SerialConfig) -> tuple["_Port", str]:
         _keep_dtr(port.fileno())
     except (OSError, termios.error) as error:  # pyserial does not convert termios.error
         number = _error_number(error)
-        raise OSError(number or errno.EIO, f"{path}: {_explain(number, error)}") from error
+        raise OSError(number or errno.EIO, f"{path}: {_explain(path, number, error)}") from error
     except (ValueError, OverflowError) as error:
         raise OSError(errno.EINVAL, f"{path}: {config.bauds[0]} baud: {error}") from error
     return _Port(port), path
@@ -149,6 +152,7 @@ class SerialTransport(StreamTransport):
     __slots__ = ("_port",)
 
     kind = "serial"
+    full_read_bytes = TTY_BYTES
 
     def __init__(self, port: "_Port", *, peer: str, address: str) -> None:
         super().__init__(peer=peer, address=address)
@@ -167,6 +171,15 @@ class SerialTransport(StreamTransport):
         await super().drain()
         if self._port.write_error is not None:
             raise self._port.write_error
+
+    @property
+    def lost_reads(self) -> int:
+        """Number of reads for which another program was faster."""
+        return self._port.lost_reads
+
+    def keep_settings(self) -> bool:
+        """Set the port again as it was, if another program changed it. Return whether one did."""
+        return self._port.is_open and self._port.keep_settings()
 
     def _open_descriptor(self) -> int | None:
         return self._port.fileno() if self._port.is_open else None
@@ -191,7 +204,9 @@ class _Port:
     def __init__(self, port: serial.Serial) -> None:
         self.write_error: OSError | None = None
         self.timeout = self.write_timeout = 0  # pyserial-asyncio sets them
+        self.lost_reads = 0  # another program read what this one was woken for
         self._port = port
+        self._settings = termios.tcgetattr(port.fileno())
 
     @property
     def is_open(self) -> bool:
@@ -203,6 +218,8 @@ class _Port:
     def set_baud(self, baud: int) -> None:
         try:
             self._port.baudrate = baud
+            _keep_dtr(self.fileno())
+            self._settings = termios.tcgetattr(self.fileno())
         except termios.error as error:  # termios.error is not an OSError
             raise OSError(*error.args) from error
 
@@ -214,17 +231,30 @@ class _Port:
         return int(self._port.out_waiting)
 
     def read(self, _size: int) -> bytes:
-        """Read what is available.
+        """Read what is available; b"" if another program was faster.
 
-        pyserial-asyncio calls it only then, so an empty read means that the port was removed.
+        pyserial-asyncio calls it only when bytes are available or the port was removed.
         """
         try:
             data = os.read(self.fileno(), READ_BYTES)
+            if not data:
+                fcntl.ioctl(self.fileno(), termios.FIONREAD, bytes(4))  # fails for a removed port only
+        except BlockingIOError:
+            data = b""
         except OSError as error:
             raise serial.SerialException(error.errno, f"{self._port.name}: {error.strerror}") from error
-        if not data:
-            raise serial.SerialException(errno.ENODEV, f"{self._port.name}: the port was removed")
+        self.lost_reads += not data
         return data
+
+    def keep_settings(self) -> bool:
+        """Set the port again as it was, if another program changed it. Return whether one did."""
+        try:
+            if termios.tcgetattr(self.fileno()) == self._settings:
+                return False
+            self.set_baud(self._port.baudrate)  # pyserial sets everything again
+        except (OSError, termios.error):  # the port was removed; the link ends by its own error
+            return False
+        return True
 
     def write(self, data: bytes) -> int:
         """Write to the kernel and return the number of accepted bytes.
@@ -261,5 +291,9 @@ def _error_number(error: Exception) -> int | None:
     return number if isinstance(number, int) else None
 
 
-def _explain(number: int | None, error: Exception) -> str:
-    return str(error) if number is None else _ADVICE.get(number, os.strerror(number))
+def _explain(path: str, number: int | None, error: Exception) -> str:
+    if number is None:
+        return str(error)
+    text = _ADVICE.get(number, os.strerror(number))
+    users = ", ".join(users_of(path).names) if number in _BUSY else ""
+    return f"{text}: {users}" if users else text

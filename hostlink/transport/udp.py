@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from hostlink.config import UdpConfig
 from hostlink.errors import ConfigError
-from hostlink.listening import spelled
+from hostlink.listening import bind_all, spelled
 from hostlink.transport.base import READ_BYTES
 from hostlink.transport.connection import ignore
 from hostlink.transport.tcp import explain
@@ -176,8 +176,8 @@ async def serve_udp(
             found = await asyncio.get_running_loop().getaddrinfo(
                 config.host, config.port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
             )
-            for family, _, _, _, address in dict.fromkeys(found):
-                ports.append(UdpPort(_bind(family, address), dropped, on_datagram))
+            bound = bind_all(config.host, config.port, found, _bind)
+            ports += [UdpPort(each, dropped, on_datagram) for each in bound]
         except UnicodeError as error:
             raise ConfigError(f"UDP {spelled(config.host, config.port)}", "is not a valid host name") from error
         except (OSError, OverflowError) as error:
@@ -188,7 +188,7 @@ async def serve_udp(
             port.close()
 
 
-def _bind(family: int, address: Address) -> socket.socket:
+def _bind(family: int, _protocol: int, address: Address) -> socket.socket:
     """Bind before SO_REUSEPORT is set.
 
     The bind therefore fails if another program uses the port, and afterwards only sockets of this user can share it.
@@ -255,6 +255,7 @@ class UdpTransport:
         self._on_readable: Callable[[], None] = ignore
         self._received = bytearray()
         self._unsent: list[bytes] = []
+        self.is_behind = False  # whether the kernel may have more datagrams
         self._is_reading = self._is_closed = False
         self._error: OSError | None = None
         self._progress = asyncio.Event()
@@ -333,10 +334,12 @@ class UdpTransport:
             asyncio.get_running_loop().remove_reader(self._socket)
 
     def _receive(self) -> None:
+        self.is_behind = True
         for _ in range(DATAGRAMS_A_TURN):
             try:
                 found = receive_from(self._socket, self._dropped)
             except BlockingIOError:
+                self.is_behind = False
                 break
             except ConnectionRefusedError:
                 self._break()

@@ -1,7 +1,7 @@
 """Compile the programs that several tests run: `python -m tests.firmware.build_all`.
 
-`make test` calls it first, so that no test waits for a compiler within its time limit. A failure is printed here, and
-fails the tests of the program.
+`make test-all` calls it first, so that no test waits for a compiler within its time limit. A failure is printed
+here, and fails the tests of the program.
 """
 
 import os

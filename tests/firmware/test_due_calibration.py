@@ -1,6 +1,6 @@
 """Calibration of the real firmware in its world: the wheels are measured, their numbers are set, and its squares close.
 
-Three seeds in make test-long, 30 in `make soak` (HOSTLINK_SEEDS). tools/measure_calibration.py prints what it asserts.
+Three seeds in make test-all, 30 in `make soak` (HOSTLINK_SEEDS). tools/measure_calibration.py prints what it asserts.
 """
 
 import os

@@ -21,7 +21,7 @@ from tests.support.stopwatch import Stopwatch
 pytestmark = pytest.mark.usefixtures("esp8266_built")
 
 PATIENCE_S = 60.0  # only a defect reaches it
-EMULATED = pytest.param("cortex-m3", marks=pytest.mark.long)  # the first test emulates the Cortex-M3 in make test
+EMULATED = pytest.param("cortex-m3", marks=pytest.mark.long)  # the first test emulates the Cortex-M3 in each run
 KINDS = pytest.mark.parametrize("kind", ["native", EMULATED])
 
 

@@ -18,7 +18,7 @@ LATE_S = 0.1  # the most that the turns of its loop add
 COASTS = 0.2  # share of the time with a PWM below the one for the wheel's speed: it coasts then, more slowly
 SPEEDS_M_S = (0.1, 0.2, 0.3)
 
-FEW_SEEDS = [1, 2, 3]  # of drawn worlds; `make test-long` has more
+FEW_SEEDS = [1, 2, 3]  # of drawn worlds; the tests marked long have more
 
 
 def true_gain(world: WorldParameters, side: str) -> float:

@@ -48,6 +48,8 @@ ENTRY_POINTS: list[type[EntryPoint]] = [
     entry_points.FleetSender,
     entry_points.FleetSenderPublish,
     entry_points.DevicePublisher,
+    entry_points.SerialPublisher,
+    entry_points.UdpPublisher,
     entry_points.Demo,
 ]
 
@@ -423,7 +425,9 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
         entry_points.FleetPublisher,
     ),
     "graphs/zenoh/fleet_topics.py: self._drivers.publish": (entry_points.FleetPublisher,),
-    "hub/device.py: topic.publish": (entry_points.DevicePublisher,),
+    "hub/device.py: topic.publish": (
+        entry_points.DevicePublisher, entry_points.SerialPublisher, entry_points.UdpPublisher,
+    ),
     "hub/gates.py: self.gates.command": (entry_points.RosbridgeDrive, entry_points.RosbridgePublish),
     "hub/gates.py: self.command": (entry_points.RosbridgePublish, entry_points.TwistStamped),
     "hub/participant.py: known.publish": (entry_points.RosbridgePublish,),

@@ -79,6 +79,37 @@ async def test_a_robot_is_driven_while_the_program_computes_and_stops_at_the_end
         assert (is_driven, reasons, gate.counts.stops) == (True, [OWNER_LEFT], 0) or host.was_paused
 
 
+async def test_robot_stops_when_the_thread_that_drives_it_hangs_also_beside_a_thread_that_reads() -> None:
+    """The connection has a thread of its own, which does not hang."""
+    hangs = threading.Event()
+
+    def script() -> str:
+        with connect_blocking(host.url, idle_timeout_s=1.0) as me:
+            robot = me.robot("robot_0")
+            reader = threading.Thread(target=read, args=(me,))
+            reader.start()
+            obeyed(lambda: robot.drive(0.2, 0.5))
+            hangs.wait()
+            reader.join()
+            with pytest.raises(HostlinkError) as caught:
+                robot.drive(0.2, 0.5)
+            return str(caught.value)
+
+    def read(me: BlockingHost) -> None:
+        while not hangs.wait(0.05):
+            me.robots()
+
+    async with world() as (host, device), asyncio.TaskGroup() as tasks:
+        reasons = stops_of(host, "robot_0")
+        running = tasks.create_task(asyncio.to_thread(script))
+        assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
+        assert await device.velocity_other_than((0.2, 0.5)) == ZERO
+        await expect(lambda: reasons)
+        hangs.set()
+        assert "idle_timeout_s" in await running or host.was_paused
+        assert str(reasons[0]).startswith("the program made no call for 1.") or host.was_paused
+
+
 async def test_blocking_client_works_without_with_in_a_thread_with_a_loop_and_after_an_error() -> None:
     """A notebook runs its cells in an event loop, which the blocking client must not need."""
     async with world() as (host, device):

@@ -11,6 +11,7 @@ from hostlink.client import Host, connect
 from hostlink.errors import HostlinkError
 from hostlink.protocol.frame import Id
 from tests.support.daemon import Daemon, daemon
+from tests.support.driving import hold
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 
 LED = topic(Id.SUBSCRIBER, 110, "/led", "std_msgs/Bool")
@@ -59,7 +60,7 @@ async def test_numbers_and_arrays_of_numpy_are_published_driven_and_called() -> 
     async with world() as (_, device, me):
         await me.publish("/array", {"data": np.array([0.5, 1.5])})
         assert np.frombuffer((await device.frame(111))[-8:], "<f4").tolist() == [0.5, 1.5]
-        await me.robot("robot_0").drive(np.float32(0.25), np.int64(0))
+        await hold(me.robot("robot_0"), np.float32(0.25), np.int64(0))
         assert await device.velocity_other_than((0.0, 0.0)) == (0.25, 0.0)
         assert "/led" in (await me.call("/rosapi/topics"))["topics"]  # no body
         await me.call("/rosapi/set_param", {"name": "gain", "value": str(np.float64(2.0))})

@@ -28,6 +28,7 @@ from hostlink.recording import recordings as recordings_module
 from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, json_of
 from hostlink.recording.folder import Folder
 from hostlink.recording.mcap_format import MAGIC
+from hostlink.recording.owner import NAME as OWNER
 from hostlink.recording.reader import McapReader, StoredMessage
 from hostlink.recording.recorder import GROUP, TopicSelection
 from hostlink.recording.recordings import Recordings
@@ -67,8 +68,8 @@ async def stop(host: Daemon, name: str) -> dict[str, Any]:
 
 
 def names(folder: Path) -> list[str]:
-    """Return the sorted names of the files in the folder."""
-    return sorted(path.name for path in folder.iterdir())
+    """Return the sorted names of the files in the folder, without the mark of its owner."""
+    return sorted(path.name for path in folder.iterdir() if path.name != OWNER)
 
 
 def whole(path: Path) -> bytes:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import os
+import subprocess
 import termios
 import tty
 from collections.abc import AsyncIterator, Callable
@@ -29,7 +30,12 @@ RETRY_S = 0.01
 ANNOUNCEMENT = (
     encode(Id.TIME, bytes(8)) + b"".join(encode(i.kind, encode_topic_info(i)) for i in robot_topics())
 ) + encode(Id.TIME, bytes(8))
-CFLAG, OUTPUT_SPEED = 2, 5
+CFLAG, LFLAG, INPUT_SPEED, OUTPUT_SPEED = 2, 3, 4, 5
+
+
+def found_by_doctor(hub: Hub) -> dict[str, str]:
+    """Detail of each finding of the live links, by its code."""
+    return {each.code: each.detail for link in hub.links.all() for each in hub.diagnoses.of(link)}
 
 
 class Board:
@@ -170,6 +176,97 @@ async def test_cancelled_opening_leaves_no_port_open() -> None:
                 await opening.result().aclose()
         await asyncio.get_running_loop().shutdown_default_executor()  # every thread has opened what it was to open
         await expect(lambda: open_descriptors() <= before)
+
+
+class Thief:
+    """Another program at the same port, which takes the bytes that hostlink was just woken for.
+
+    One descriptor is watched before hostlink opens the port and one after: one of them is always served first.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.taken = 0
+        self._path = path
+        self._descriptors: list[int] = []
+        self.watch()
+
+    def watch(self) -> None:
+        descriptor = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self._descriptors.append(descriptor)
+        asyncio.get_running_loop().add_reader(descriptor, self._take, descriptor)
+
+    def _take(self, descriptor: int) -> None:
+        with contextlib.suppress(BlockingIOError):
+            self.taken += len(os.read(descriptor, 4096))
+
+    def close(self) -> None:
+        for descriptor in self._descriptors:
+            asyncio.get_running_loop().remove_reader(descriptor)
+            os.close(descriptor)
+        self._descriptors.clear()
+
+
+async def test_bytes_that_another_program_takes_end_no_link() -> None:
+    board = Board()
+    thief = Thief(board.path)
+    async with served(SerialConfig(path=board.path)) as host:
+        await expect(host.hub.links.all)
+        thief.watch()
+        for _ in range(20):
+            before = thief.taken
+            os.write(board.descriptor, ANNOUNCEMENT)
+            await expect(lambda before=before: thief.taken > before)
+        await expect(lambda: "serial_shared" in found_by_doctor(host.hub))  # also where only the reads show it
+        assert "reads were lost to it" in found_by_doctor(host.hub)["serial_shared"]
+        thief.close()
+        os.write(board.descriptor, ANNOUNCEMENT)
+        await expect(is_connected(host.hub))
+        assert [link.number for link in host.hub.links.all()] == [1]
+    board.unplug()
+
+
+async def test_another_program_at_a_silent_port_is_named() -> None:
+    with pty_pair() as (_, path):
+        command = (
+            f"cat {path} >/dev/null & echo $!; read end; kill $!"  # not a child of this process, as its guardian is
+        )
+        shell = await asyncio.create_subprocess_shell(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert shell.stdout is not None
+        pid = int(await shell.stdout.readline())
+        try:
+            async with served(SerialConfig(path=path)) as host:
+                await expect(lambda: "serial_shared" in found_by_doctor(host.hub))
+                assert found_by_doctor(host.hub)["serial_shared"] == f"cat (pid {pid})"
+        finally:
+            await shell.communicate(b"\n")
+
+
+async def test_settings_that_another_program_changes_are_set_again() -> None:
+    with pty_pair() as (_, path):
+        transport = await open_serial(SerialConfig(path=path, baud=115200))
+        assert not transport.keep_settings()
+        other = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        settings = termios.tcgetattr(other)
+        settings[LFLAG] |= termios.ICANON | termios.ECHO  # as a login does
+        settings[INPUT_SPEED] = settings[OUTPUT_SPEED] = termios.B9600
+        termios.tcsetattr(other, termios.TCSANOW, settings)
+        assert transport.keep_settings()
+        found = termios.tcgetattr(other)
+        assert not found[LFLAG] & (termios.ICANON | termios.ECHO)
+        assert found[OUTPUT_SPEED] == termios.B115200
+        assert not found[CFLAG] & termios.HUPCL
+        os.close(other)
+        await transport.aclose()
+
+
+async def test_removed_port_ends_the_transport() -> None:
+    board = Board()
+    transport = await open_serial(SerialConfig(path=board.path))
+    board.unplug()
+    with pytest.raises(OSError, match=board.path):
+        await transport.receive()
+    assert not transport.keep_settings()
+    await transport.aclose()
 
 
 def test_a_pattern_that_fits_two_ports_is_not_guessed(tmp_path: Path) -> None:

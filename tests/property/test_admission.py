@@ -61,6 +61,7 @@ class History(RuleBasedStateMachine):
         )
         self.sources: dict[str, Heard] = {}
         self.drives: dict[str, tuple[str, float]] = {}  # by topic: the source of the last admitted command, and when
+        self.let_go: set[str] = set()  # topics whose last command is a zero of its source
         self.is_locked, self.is_connected = False, is_connected
         self.away_s = self.stopped_s = float("-inf")
         if is_connected:
@@ -130,13 +131,17 @@ class History(RuleBasedStateMachine):
         if decision.is_admitted:
             heard.held_until_s, heard.priority = self.now_s - waited_s + LEASE_S, priority
             self.drives[topic] = owner, self.now_s - waited_s
+            self.let_go.discard(topic)
 
     @rule(owner=OWNERS, topic=TOPICS)
     def source_lets_go(self, owner: str, topic: str) -> None:
         driver = self.admission.driver(topic, self.now_s)
         decision = self.admission.decide(Command(ZERO, owner, 50, self.now_s), self.now_s, topic=topic)
         held = self.sources.pop(owner, Heard())
-        self.sources[owner] = Heard(held_until_s=held.held_until_s, priority=held.priority)
+        self.let_go |= {topic} if self.drives.get(topic, ("",))[0] == owner else set()
+        mine = (by for by, (source, _) in self.drives.items() if source == owner and by not in self.let_go)
+        others = (self.drives[by][1] + LEASE_S for by in mine)
+        self.sources[owner] = Heard(held_until_s=max(others, default=float("-inf")), priority=held.priority)
         if not self.is_connected:
             assert decision.kind is RefusalKind.NOT_CONNECTED
         else:

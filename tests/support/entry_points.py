@@ -47,7 +47,7 @@ from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.mirror.log_once import LogOnce
-from hostlink.protocol.frame import Id
+from hostlink.protocol.frame import Id, encode
 from hostlink.recording.channel import VELOCITY, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity, Twist
@@ -56,7 +56,7 @@ from tests.support.foreign_drivers import PRIORITY, FleetDriver, Ros1Driver
 from tests.support.memory_client import MemoryHost, memory_host
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, Scene
-from tests.support.scripted_device import ScriptedDevice
+from tests.support.wired_device import SerialDevice, TcpDevice, UdpDeviceInMemory, WiredDevice
 
 SPEED_M_S = 0.2
 ROS2_TWIST = "geometry_msgs/msg/Twist"
@@ -476,15 +476,17 @@ class RclpyBridge(EntryPoint):
 
 
 class Ros1Publisher(EntryPoint):
-    cannot: ClassVar = _PUBLISHED | {
-        "a command that is late is refused": "TCPROS has no time; what waits in its socket is read after a pause",
-    }
+    """A node of ROS 1. It is late by what waits in its socket: TCPROS has no time."""
+
+    cannot: ClassVar = _PUBLISHED
 
     async def begin(self) -> None:
         self._driver = Ros1Driver(self.made)
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
+        if self.late_s:
+            self._driver.flood.begin()
         self._driver.drive(ROBOT, speed_m_s, self.made.hub, left_m_s=left_m_s)
 
     async def vanish(self) -> None:
@@ -608,28 +610,36 @@ class FleetSenderPublish(FleetSender):
 
 
 class DevicePublisher(EntryPoint):
-    """A remote control with a microcontroller of its own."""
+    """A remote control with a microcontroller of its own. It is late by what waits: rosserial has no time."""
 
-    cannot: ClassVar = _PUBLISHED | {
-        "a command that is late is refused": "rosserial has no time; what waits is read after a pause",
-    }
+    cannot: ClassVar = _PUBLISHED
+    device: ClassVar[type[WiredDevice]] = TcpDevice
 
     async def begin(self) -> None:
-        infos = [topic(Id.PUBLISHER, 126, CMD_VEL, TWIST_TYPE)]
-        self._device = ScriptedDevice(self.made.hub, infos, address="10.0.0.3")
+        self._device = self.device(self.made.hub, [topic(Id.PUBLISHER, 126, CMD_VEL, TWIST_TYPE)])
         await asyncio.sleep(0.5)
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        await self._device.send(126, PlanarVelocity(speed_m_s, left_m_s).encode())
+        if self.late_s:
+            self._device.flood.begin()
+        self._device.flood.send(encode(126, PlanarVelocity(speed_m_s, left_m_s).encode()))
 
     async def vanish(self) -> None:
         self.silence()
-        await self._device.aclose()
+        self._device.vanish()
+        await asyncio.sleep(0.01)
 
     async def end(self) -> None:
         await self.vanish()
-        await asyncio.sleep(0.01)
+
+
+class SerialPublisher(DevicePublisher):
+    device: ClassVar = SerialDevice
+
+
+class UdpPublisher(DevicePublisher):
+    device: ClassVar = UdpDeviceInMemory
 
 
 # -- parts of the daemon ----------------------------------------------------------------------------------------------

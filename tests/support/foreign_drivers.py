@@ -30,9 +30,11 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.log_budget import Budget
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.transport.base import READ_BYTES
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, Scene
+from tests.support.wired_device import Flood
 
 PRIORITY = 50
 
@@ -52,6 +54,12 @@ class Ros1Driver:
         self._connection.wire.connection_made(transport)
         fields = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": twist.md5, "topic": name}
         self._connection.wire.data_received(encode_header(fields))
+        padding = encode_message(PlanarVelocity(0.2).encode())
+        self.flood = Flood(self._deliver, READ_BYTES, padding)
+
+    def _deliver(self, data: bytes) -> None:
+        if not self._connection.wire.is_closed:
+            self._connection.wire.data_received(data)
 
     @property
     def participant(self) -> Participant:
@@ -61,12 +69,13 @@ class Ros1Driver:
     def drive(self, robot: str, speed_m_s: float, hub: Hub, *, left_m_s: float = 0.0) -> None:
         assert hub.robots.find_here(robot).shown.velocity == self._connection._topic.name
         before = self._node.counts.refused_messages
-        self._connection.wire.data_received(encode_message(PlanarVelocity(speed_m_s, left_m_s).encode()))
+        self.flood.send(encode_message(PlanarVelocity(speed_m_s, left_m_s).encode()))
         if self._node.counts.refused_messages > before:
             raise CommandRefused(robot, RefusalKind.HELD, f"{robot}: another source was first")
 
     def vanish(self) -> None:
         """Lose the connection of the publisher."""
+        self.flood.end()
         self._connection.wire.connection_lost(ConnectionResetError())
 
 

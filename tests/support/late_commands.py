@@ -88,7 +88,8 @@ async def running(words: Sequence[str]) -> AsyncIterator[asyncio.subprocess.Proc
         await child.wait()
 
 
-async def _listen(device: FakeDevice, heard: Heard) -> None:
+async def listen(device: FakeDevice, heard: Heard) -> None:
+    """Note what the device receives, until its connection ends."""
     with contextlib.suppress(EOFError, OSError):
         while True:
             try:
@@ -143,7 +144,7 @@ async def measure(
         device = await stack.enter_async_context(fake_device(host.tcp, robot_topics()))
         await stack.enter_async_context(repeating(device, pose(0.0)))
         await host.read_log("robot.appeared")
-        await stack.enter_async_context(meanwhile(_listen(device, heard)))
+        await stack.enter_async_context(meanwhile(listen(device, heard)))
         before_mib = resident_mib(host.pid)
         await stack.enter_async_context(meanwhile(_watch(host, most)))
         if part is not None:

@@ -15,6 +15,7 @@ from hostlink.api.clients import ClientQueue
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.views import odometry_view
 from hostlink.client import Event, Host
+from hostlink.client.callers import Callers, own_context
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import HttpClient, encode, measured
@@ -36,8 +37,9 @@ class MemoryConnection:
     is_connected = True
     keeping = HostConnection.keeping
 
-    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
+    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup, callers: Callers) -> None:
         self.delay_s = 0.0
+        self.callers = callers
         self._hub = hub
         self.handlers: defaultdict[str, list[Callable[[dict[str, Any]], None]]] = defaultdict(list)
         self.on_open: list[Callable[[], Awaitable[None]]] = []  # it is never opened again
@@ -54,6 +56,7 @@ class MemoryConnection:
         return self._client.participant
 
     async def send(self, request: Mapping[str, Any]) -> None:
+        self.callers.note()
         text = encode(request).decode()
         if self.delay_s:
             asyncio.get_running_loop().call_later(self.delay_s, self._pass, text)
@@ -84,6 +87,7 @@ class MemoryConnection:
                 await news.wait()
                 news.clear()
                 if (known := robot.odometry.snapshot(asyncio.get_running_loop().time())) is not None:
+                    self.callers.note()
                     yield Event("odometry", cast(dict[str, Any], odometry_view(known)))
         finally:
             reader.leave()
@@ -114,12 +118,13 @@ class MemoryHttp:
 
     url = "memory"
 
-    def __init__(self, hub: Hub) -> None:
-        self._api = RestCalls(hub)
+    def __init__(self, hub: Hub, callers: Callers) -> None:
+        self._api, self._callers = RestCalls(hub), callers
 
     async def request(
         self, method: str, path: str, body: Mapping[str, Any] | None = None, *, timeout_s: float = 5.0
     ) -> dict[str, Any]:
+        self._callers.note()
         async with asyncio.timeout(timeout_s):
             _, answer = await self._api.call(method, path, b"" if body is None else body)
         if "error" in answer:
@@ -135,15 +140,16 @@ class MemoryHost(Host):
 
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.url = MemoryHttp.url
-        self.connection_ = MemoryConnection(hub, tasks)
-        self._http = cast(HttpClient, MemoryHttp(hub))
+        callers = Callers(asyncio.get_running_loop().time)
+        self.connection_ = MemoryConnection(hub, tasks, callers)
+        self._http = cast(HttpClient, MemoryHttp(hub, callers))
         self._connection = cast(HostConnection, self.connection_)
         self._topics = Topics(self._connection)
         self._services = ProvidedServices(self._connection)
         self._services.begin(tasks)
-        self._driver = VelocitySender(self._connection, asyncio.get_running_loop().time)
+        self._driver = VelocitySender(self._connection, callers)
         self._watchers = WeakSet()
-        self._repeating = tasks.create_task(self._driver.repeat())
+        self._repeating = tasks.create_task(self._driver.repeat(), context=own_context())
 
     def stop_repeating(self, robot: str) -> None:
         """Let the commands of this robot end with their lease, as in a program that hangs."""

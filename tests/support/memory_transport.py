@@ -32,6 +32,11 @@ class _Line:
         """Number of bytes that one reading returns."""
         return 0 if self._is_broken else min(len(self._waiting), READ_BYTES)
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether more waits behind what one reading returns."""
+        return len(self._waiting) > self.unread_bytes
+
     def write(self, data: bytes) -> bool:
         """Queue data. Return False if more waits than there is room for, or if it can never be read."""
         if not self.is_ended:
@@ -101,6 +106,11 @@ class MemoryTransport:
     def unread_bytes(self) -> int:
         """Number of received and unread bytes."""
         return self._from_peer.unread_bytes
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether more waits than one reading returns."""
+        return self._from_peer.is_behind
 
     @property
     def is_ended(self) -> bool:

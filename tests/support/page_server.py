@@ -16,6 +16,7 @@ import msgspec
 from aiohttp import WSMsgType, web
 
 from hostlink.api.events import ROLE_HEADER
+from hostlink.api.history import IncidentView
 from hostlink.api.rest import DaemonDiagnosisView, DriveView, ListeningView
 from hostlink.api.views import LinkView, RobotView, StoppedRobotView
 
@@ -35,6 +36,7 @@ class State:
     past: list[dict[str, Any]] = field(default_factory=list)  # where each robot drove before the page was opened
     past_events: list[dict[str, Any]] = field(default_factory=list)  # of each robot, before the page was opened
     log: list[dict[str, Any]] = field(default_factory=list)  # lines that each page receives
+    incidents: list[dict[str, Any]] = field(default_factory=list)  # each with `past` and `past_events`
     role: str = "drive"
     refusal: str = ""  # of every request that changes something
     drive_answer: dict[str, Any] = field(default_factory=dict)  # what else the answer to a command has
@@ -74,6 +76,7 @@ class PageServer:
         msgspec.convert(state.robots, list[RobotView])
         msgspec.convert(state.links, list[LinkView])
         msgspec.convert(state.drives, list[DriveView])
+        msgspec.convert(state.incidents, list[IncidentView])
         msgspec.convert(state.listening, ListeningView)
         msgspec.convert(state.diagnosis, DaemonDiagnosisView)
         self._state = state
@@ -120,6 +123,8 @@ class PageServer:
                         await _send(response, name, {name: getattr(self._state, name)})
                     for line in self._state.log:
                         await _send(response, "log", line)
+                    counts = {"pending": 0, "saved": len(self._state.incidents), "missed": 0}
+                    await _send(response, "recordings", {"recordings": [], "changes": 0, "incidents": counts})
                 await _send(response, "robots", {"robots": self._fresh_robots()})
                 sent_s = asyncio.get_running_loop().time() - self._state.late_s
                 await response.write(b": sent %.3f\n\n" % sent_s)
@@ -183,6 +188,13 @@ class PageServer:
     def _past(self) -> dict[str, Any]:
         return {"poses": self._state.past, "plot_data": [], "events": self._state.past_events}
 
+    async def _incidents(self, _: web.Request) -> web.Response:
+        return web.json_response({"incidents": self._state.incidents, "missed": 0, "folder": ""})
+
+    async def _incident(self, request: web.Request) -> web.Response:
+        found = next(each for each in self._state.incidents if each["file"] == request.match_info["file"])
+        return web.json_response({**found, "history": self._past(), "damage": []})
+
     async def _drives(self, request: web.Request) -> web.Response:
         shown = self._state.drives[: int(request.query["limit"])]
         return web.json_response({"drives": shown, "lost": 0})
@@ -210,12 +222,19 @@ class PageServer:
         application.router.add_get("/api/robots/{name}/standstill", self._standstill)
         application.router.add_get("/api/standstill", self._standstill)
         application.router.add_get("/api/drives", self._drives)
+        application.router.add_get("/api/incidents", self._incidents)
+        application.router.add_get("/api/incidents/{file}/history", self._incident)
+        application.router.add_get("/api/recordings", _recordings)
         application.router.add_get("/api/listening", self._listening)
         application.router.add_get("/api/diagnosis", self._diagnosis)
         application.router.add_get("/api/topics", _topics)
         application.router.add_post("/api/{path:.*}", self._change)
         application.on_shutdown.append(self._end)
         return application
+
+
+async def _recordings(_: web.Request) -> web.Response:
+    return web.json_response({"recordings": [], "files": [], "folder": ""})
 
 
 async def _topics(_: web.Request) -> web.Response:

@@ -1,10 +1,12 @@
-"""Requirements of tests other than Python packages. A test whose requirement is missing is not run.
+"""Requirements of tests beyond the Python packages of the extra `test`. A test whose requirement is missing is not run.
 
-A requirement is found by a program or a file, so that it does not depend on the distribution. `make test` installs the
-Debian packages where it may; `tests/conftest.py` skips the tests of what is still missing.
+A requirement is found by a program, a file or a Python module, so that it does not depend on the distribution.
+`make test` runs the tests without requirements. `make test-all` installs what the others need, where it may;
+`tests/conftest.py` skips the tests of what is still missing.
 """
 
 import fnmatch
+import importlib.util
 import shutil
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
@@ -16,7 +18,11 @@ REASON = "needs "  # a skip whose reason begins so is one of a missing requireme
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """Programs or files, who provides them, and the tests that use them, as patterns of paths and names of fixtures."""
+    """Programs, files or modules (`import NAME`), who provides them, and the tests that use them.
+
+    `tests` are patterns of paths or of whole names of tests, `fixtures` are names. A file that cannot be collected
+    without a module is named by its path.
+    """
 
     needs: tuple[str, ...]
     source: str
@@ -31,6 +37,10 @@ class Requirement:
 
 def _apt(needs: str, packages: str, *tests: str, fixtures: tuple[str, ...] = ()) -> Requirement:
     return Requirement(tuple(needs.split()), f"apt-get install {packages}", tests, fixtures)
+
+
+def _pip(modules: str, *tests: str) -> Requirement:
+    return Requirement(tuple(f"import {each}" for each in modules.split()), "pip install -e '.[dev]'", tests)
 
 
 _COMPILED = (
@@ -64,11 +74,23 @@ REQUIREMENTS = (
     Requirement(("build/ros2-venv/.installed",), "make ros2-venv", ("tests/system/ros2/*",)),
     Requirement(("build/promtool/usr/bin/promtool",), "make build/promtool/usr/bin/promtool", (), ("promtool",)),
     Requirement(("build/ros-mcp-venv/.installed",), "make ros-mcp-venv", ("tests/system/test_ros_mcp.py",)),
+    _pip("uvloop", "tests/unit/cli/test_loop_choice.py", "tests/integration/test_uvloop_transport.py"),
+    _pip("importlinter", "tests/unit/tools/test_import_rows.py"),
+    _pip("roslibpy", "tests/integration/test_diagnostics.py"),
+    _pip("zenoh_ros2_sdk", "tests/integration/test_rmw_zenoh.py"),
+    _pip("schemathesis", "tests/integration/test_openapi.py"),
+    _pip(
+        "matplotlib",
+        "tests/unit/cli/test_new_file.py::test_plot_export*", "tests/unit/cli/test_step.py::test_a_picture*",
+        "tests/unit/cli/test_lab.py::test_a_picture_that*", "tests/unit/recording/test_export.py::test_pictures*",
+    ),
 )  # fmt: skip
 
 
 def is_present(needed: str) -> bool:
-    """Return whether a program is in the PATH, or a file exists."""
+    """Return whether a module can be imported, a file exists, or a program is in the PATH."""
+    if needed.startswith("import "):
+        return importlib.util.find_spec(needed.removeprefix("import ")) is not None
     return (ROOT / needed).exists() if "/" in needed else shutil.which(needed) is not None
 
 
@@ -77,8 +99,11 @@ def missing(is_present: Callable[[str], bool] = is_present) -> list[Requirement]
     return [each for each in REQUIREMENTS if not all(map(is_present, each.needs))]
 
 
-def reasons(path: str, fixtures: Collection[str], absent: Collection[Requirement]) -> Iterator[str]:
-    """Yield why a test cannot run: `path` is relative to the repository."""
+def reasons(name: str, fixtures: Collection[str], absent: Collection[Requirement]) -> Iterator[str]:
+    """Yield why a test or a file cannot run; `name` begins with the path relative to the repository."""
+    path = name.partition("::")[0]
     for each in absent:
-        if any(fnmatch.fnmatch(path, pattern) for pattern in each.tests) or set(each.fixtures) & set(fixtures):
+        if any(fnmatch.fnmatchcase(tested, pattern) for pattern in each.tests for tested in (path, name)) or set(
+            each.fixtures
+        ) & set(fixtures):
             yield each.reason

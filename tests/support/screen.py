@@ -144,7 +144,7 @@ class Screen:
 @contextlib.asynccontextmanager
 async def screen(*, columns: int = 100, rows: int = 24) -> AsyncIterator[Screen]:
     """Open a terminal with a shell that waits for a command."""
-    assert shutil.which("tmux"), "tmux is not installed: `make test` does it, or sudo apt-get install tmux"
+    assert shutil.which("tmux"), "tmux is not installed: `make test-all` does it, or sudo apt-get install tmux"
     size = ("-x", str(columns), "-y", str(rows))
     # A folder for each one: the server of the test before may still be ending at a socket of its own name.
     with tempfile.TemporaryDirectory() as folder:

@@ -86,6 +86,17 @@ class VirtualLoop(asyncio.BaseEventLoop):
         self._selector = self
         self._clock_resolution = 1e-6  # the usual 1e-9 is lost in rounding after some months
         self._now_s = 0.0
+        self.readers: dict[Any, Callable[[], object]] = {}  # of sockets that a test pretends to have
+
+    def add_reader(self, fd: Any, callback: Callable[..., object], *args: object) -> None:
+        """Note the callback. The test calls it when its socket is readable."""
+        self.readers[fd] = functools.partial(callback, *args)
+
+    def remove_reader(self, fd: Any) -> bool:
+        return self.readers.pop(fd, None) is not None
+
+    def remove_writer(self, fd: Any) -> bool:  # noqa: ARG002 - of asyncio
+        return False
 
     def time(self) -> float:
         """Seconds since the loop was made."""

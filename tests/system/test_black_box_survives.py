@@ -84,7 +84,7 @@ async def test_a_daemon_killed_while_driving_leaves_an_incident_with_its_last_se
 ) -> None:
     """Saved by the guardian, and by the next start where there was none.
 
-    In make test the guardian saves in the next test, and in tests/system/test_container.py.
+    Without the tests marked long, the guardian saves in the next test, and in tests/system/test_container.py.
     """
     words = settings(tmp_path, has_guardian=has_guardian)
     async with serve(*words) as daemon:

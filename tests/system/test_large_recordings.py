@@ -88,7 +88,7 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
 }
 
 
-#: All commands read by recording/reader.py: make test runs one, without an index.
+#: All commands read by recording/reader.py: one runs without the tests marked long, without an index.
 RUNS = [("unfinished", "csv")]
 MORE_RUNS = [
     *(("finished", command) for command in COMMANDS),

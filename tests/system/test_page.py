@@ -162,11 +162,11 @@ async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) ->
 
 async def test_a_finger_drives_until_it_is_gone(scene: Scene) -> None:
     async with connected(scene, viewport=PHONE, has_touch=True, is_mobile=True) as tab:
-        x, y = await tab.stick()
         touch = await tab.page.context.new_cdp_session(tab.page)
         for end in ("touchEnd", "touchCancel"):
 
             async def press() -> None:
+                x, y = await tab.stick()
                 for kind, points in (("touchStart", [{"x": x, "y": y}]), ("touchMove", [{"x": x + 20, "y": y - 60}])):
                     await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 

@@ -12,7 +12,7 @@ import pytest_asyncio
 from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
-from tests.support.browser import Visit, visit
+from tests.support.browser import PHONE, Visit, visit
 from tests.support.page_server import PageServer, State, link, odometry, page_server, robot
 from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
@@ -150,6 +150,64 @@ async def test_another_button_of_the_mouse_drives_nothing(scene: Scene) -> None:
     assert scene.commands() == []
 
 
+async def test_a_stick_that_moves_on_the_screen_while_it_is_held_keeps_its_velocity(scene: Scene) -> None:
+    """The list of robots above it becomes shorter: the middle of the stick must not pass under the pointer."""
+    page = scene.tab.page
+    scene.server.show(fleet(*(f"robot_{number}" for number in range(6))))
+    await scene.tab.shows("#robots .robot:nth-child(6)", "robot_5")
+    await scene.tab.drag_stick(0, 40, lambda: scene.is_driven("robot_0"))
+    (x, y), velocity = await scene.tab.stick(), scene.commands()[-1]
+    assert velocity[1] > 0
+    scene.server.show(fleet("robot_0"))
+    await expect_page(page.locator("#robots .robot")).to_have_count(1)
+    assert (await scene.tab.stick())[1] < y - 80
+    await page.mouse.move(x, y - 41)
+    sent = len(scene.commands())
+    await expect(lambda: len(scene.commands()) > sent + 2)
+    name, linear, angular = scene.commands()[-1]
+    assert (name, linear) == ("robot_0", pytest.approx(velocity[1], rel=0.1))
+    assert abs(angular) < 0.05
+    await page.mouse.up()
+    await scene.stands()
+    await scene.tab.drag_stick(0, 40, lambda: scene.is_driven("robot_0"))  # measured again
+    assert scene.commands()[-1][1] == pytest.approx(velocity[1], rel=0.1)
+    await page.mouse.up()
+
+
+async def test_a_window_whose_size_changes_lets_go_of_the_stick(scene: Scene) -> None:
+    await scene.tab.drag_stick(0, 40, lambda: scene.is_driven("robot_0"))
+    await scene.tab.page.evaluate("dispatchEvent(new Event('resize'))")
+    await scene.stands()
+    await scene.tab.page.mouse.up()
+
+
+async def test_findings_and_errors_do_not_move_the_stick_of_a_phone(browser: Browser) -> None:
+    """They come while it is held, and an error of a robot that drives is what they often tell of."""
+    async with page_server() as server, visit(browser, server.url, viewport=PHONE, has_touch=True) as tab:
+        state = fleet("robot_0")
+        known = state.links[0]["topics"][0]
+        state.links[0]["topics"].append({**known, "name": "/robot_0/errors", "type": "std_msgs/UInt16MultiArray"})
+        server.show(state)
+        await tab.shows("#drive-state", "no driver")
+        place = await tab.stick()
+        await expect(lambda: any(each.get("topic") == "/robot_0/errors" for each in server.published))
+        await server.publish("/robot_0/errors", {"data": [31, 12, 43]})
+        await tab.shows("#link", "31 no command")
+        assert await tab.stick() == place
+        found = {
+            "code": "no_topics",
+            "cause": "It announces no topics.",
+            "next_step": "Flash another one.",
+            "detail": "",
+        }
+        state.links[0]["diagnosis"] = [found]
+        state.robots[0]["firmware"] = "the_firmware 1.2"
+        server.show(state)
+        await tab.shows("#link .diagnosis", "announces no topics")
+        assert await tab.stick() == place
+        assert await tab.faults() == []
+
+
 async def test_a_mouse_whose_release_was_lost_lets_go_as_soon_as_it_moves(scene: Scene) -> None:
     page = scene.tab.page
     await scene.tab.drag_stick(0, 60, lambda: scene.is_driven("robot_0"))
@@ -232,6 +290,112 @@ async def test_arrows_in_the_menu_of_a_panel_and_in_a_list_drive_nothing(scene: 
     assert scene.commands() == []
     await page.keyboard.press("KeyW")
     await expect(lambda: scene.commands() != [])
+
+
+INCIDENT = {
+    "robot": "robot_0",
+    "cause": "locked",
+    "detail": "",
+    "at": "2026-11-22T07:43:29+00:00",
+    "file": "one.mcap",
+    "bytes": 9,
+}
+
+
+async def open_something(scene: Scene, what: str) -> None:
+    """Open what lies over the page, or what Escape closes."""
+    page = scene.tab.page
+    if what in ("an incident", "another layout"):
+        await scene.tab.layout("Watch")
+    if what == "an incident":
+        await page.get_by_role("button", name="Open Emergency stop").click()
+        await expect_page(page.get_by_role("heading", name="Emergency stop: robot_0")).to_be_focused()
+    elif what == "a panel alone":
+        await page.get_by_role("button", name="Map: maximise").click()
+    elif what == "a folded panel":
+        await page.get_by_role("button", name="Drive", exact=True).nth(1).click()
+    elif what == "a menu":
+        await page.get_by_role("button", name="Log: move, fold").click()
+    elif what == "a search":
+        await page.get_by_role("searchbox", name="Filter").fill("lost")
+        await page.get_by_role("searchbox", name="Filter").focus()
+
+
+async def is_open(scene: Scene, what: str) -> bool:
+    page = scene.tab.page
+    selector = {"an incident": "#incident", "a panel alone": ".maximised", "a menu": "#panel-menu:popover-open"}
+    if what == "a search":
+        return bool(await page.get_by_role("searchbox", name="Filter").input_value())
+    return await page.locator(selector[what]).count() > 0
+
+
+HIDES = ("an incident", "a panel alone", "a folded panel", "another layout")
+
+
+@pytest.mark.parametrize("what", [HIDES[0], *(pytest.param(each, marks=pytest.mark.long) for each in HIDES[1:])])
+async def test_keys_drive_only_where_the_stick_is_visible(scene: Scene, what: str) -> None:
+    state = fleet("robot_0")
+    state.incidents = [INCIDENT]
+    scene.server.show(state)
+    keys = scene.tab.page.keyboard
+    await open_something(scene, what)
+    for key in ("KeyW", "KeyD", "ArrowUp"):
+        await keys.down(key)
+    await scene.tab.shows("#notice", "Keys drive only where the stick is visible.")
+    await expect_never(lambda: scene.is_driven("robot_0"), for_s=SENT_AGAIN_S)
+    if what == "a folded panel":
+        await open_something(scene, what)
+    elif what != "another layout":
+        await keys.press("Escape")
+    await scene.tab.layout("Drive")
+    await expect_never(lambda: scene.is_driven("robot_0"), for_s=SENT_AGAIN_S)  # a key is pressed anew
+    for key in ("KeyW", "KeyD", "ArrowUp"):
+        await keys.up(key)
+    await scene.holds("KeyW")
+
+
+async def test_a_stick_that_is_covered_while_it_is_held_lets_go(scene: Scene) -> None:
+    """An incident is read from the disk, so it may open while its reader drives again."""
+    cover = "document.querySelector('main').append(Object.assign(document.createElement('p'), { id: 'cover' }))"
+    style = "position: absolute; inset: 0; z-index: 5"
+    for hold, release in (
+        (lambda: scene.holds("KeyW"), lambda: scene.tab.page.keyboard.up("KeyW")),
+        (lambda: scene.tab.drag_stick(0, 60, lambda: scene.is_driven("robot_0")), scene.tab.page.mouse.up),
+    ):
+        await hold()
+        await scene.tab.page.evaluate(f"() => {{ {cover}; document.querySelector('#cover').style = '{style}'; }}")
+        await scene.stands()
+        await scene.tab.page.evaluate("document.querySelector('#cover').remove()")
+        await scene.stands()
+        await release()
+
+
+@pytest.mark.parametrize("what", ["an incident", "a panel alone", "a menu", "a search"])
+async def test_escape_closes_what_is_open_and_locks_when_nothing_is(scene: Scene, what: str) -> None:
+    state = fleet("robot_0", holder="client 3", priority=90)  # another client drives
+    state.incidents = [INCIDENT]
+    scene.server.show(state)
+    page = scene.tab.page
+    await open_something(scene, what)
+    assert await is_open(scene, what)
+    await page.keyboard.press("Escape")
+    assert not await is_open(scene, what)
+    assert scene.server.requests == []
+    await page.keyboard.press("Escape")
+    await expect(lambda: scene.server.requests == [("POST", "/api/robots/robot_0/lock")])
+
+
+async def test_escape_while_the_page_drives_locks_at_once(scene: Scene) -> None:
+    page = scene.tab.page
+    await page.get_by_role("button", name="Drive: maximise").click()
+    await scene.holds("KeyW")
+    await page.keyboard.press("Escape")
+    await expect(lambda: scene.server.requests == [("POST", "/api/robots/robot_0/lock")])
+    await scene.stands()
+    await page.keyboard.up("KeyW")
+    await page.keyboard.press("Escape")
+    await expect_page(page.locator(".maximised")).to_have_count(0)
+    assert len(scene.server.requests) == 1
 
 
 async def test_a_robot_that_was_chosen_by_mouse_is_driven_by_keys_at_once(scene: Scene) -> None:

@@ -24,7 +24,7 @@ from tests.support.waiting import is_soon
 pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 SIZES = ((1366, 768), (1920, 1080), (1024, 768), (768, 1024), (390, 844), (844, 390), (320, 568))
-SOME = ((1366, 768), (390, 844))  # a computer and a phone; `make test-long` measures all sizes
+SOME = ((1366, 768), (390, 844))  # a computer and a phone; the tests marked long measure all sizes
 TWICE = ((640, 400), (512, 384), (568, 320), (960, 540))  # at 200 %: 1280x800, 1024x768, 1920x1080; and a small phone
 Scheme = Literal["light", "dark"]
 LAYOUTS = ("Drive", "Tune", "Fleet", "Watch")

@@ -50,7 +50,11 @@ async def downloaded(page: Page, button: Locator, folder: Path) -> Path:
 
 
 async def drive(tab: Visit, host: Daemon) -> None:
-    """Drive until the robot has moved and is driven. A busy page may let go, so the key is pressed again."""
+    """Drive until the robot has moved and is driven. A busy page may let go, so the key is pressed again.
+
+    Keys drive only where the stick is visible, and go on in no other layout.
+    """
+    await tab.layout("Drive")
     robot = host.hub.robots.find("robot_0")
     odometry = robot.odometry
     async with asyncio.timeout(TIMEOUT_S):
@@ -74,6 +78,7 @@ async def test_an_incident_from_the_cut_link_to_its_plots_and_its_file(browser: 
             await drive(tab, host)
             network.break_off()
         await page.keyboard.up("KeyW")
+        await tab.layout("Watch")
         await tab.shows("#incidents", "Link lost while driven")
         item = page.locator("#incidents li", has_text="Link lost while driven")
         await item.get_by_role("button", name="Open").click()
@@ -165,6 +170,7 @@ async def test_a_recording_is_begun_stopped_downloaded_and_removed(browser: Brow
         await tab.shows("#recordings .underway", "0 dropped")
         await drive(tab, host)
         await page.keyboard.up("KeyW")
+        await tab.layout("Watch")
         await expect_page(panel.locator(".underway .figures")).to_have_text(
             re.compile(r"^\d\d+ messages · .*[kM]?B · 0:0\d · 0 dropped$")
         )

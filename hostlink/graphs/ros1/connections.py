@@ -180,6 +180,11 @@ class Wire(BufferedConnection):
 
     # -- from the peer ------------------------------------------------------------------------------------------------
 
+    @property
+    def came_s(self) -> float:
+        """Earliest arrival of the messages that are received now."""
+        return self._reader.came_s
+
     def _read(self) -> None:
         """Read one piece; of a large message all available bytes."""
         began_s = asyncio.get_running_loop().time()

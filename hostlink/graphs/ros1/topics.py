@@ -230,7 +230,9 @@ class _PublisherConnection:
         name = self._topic.name
         try:
             _check(payload, type_)
-            participant.publish(name, payload, epoch=self._epoch())
+            came_s = self.wire.came_s if self._topic.is_velocity else None
+            epoch = None if came_s is None else self._motion.pop_epoch(came_s)
+            participant.publish(name, payload, at_s=came_s, epoch=epoch)
         except BadPayload as error:
             self._node.counts.malformed_messages += 1
             self._node.log_once(
@@ -239,12 +241,6 @@ class _PublisherConnection:
         except HostlinkError as error:
             self._node.counts.refused_messages += 1
             self._log_refusal(error, participant.name)
-
-    def _epoch(self) -> int | None:
-        """Return the epoch of a velocity; None for other messages."""
-        if not self._topic.is_velocity:
-            return None
-        return self._motion.pop_epoch(self._node.hub.gates.came_s(asyncio.get_running_loop().time()))
 
     def _log_refusal(self, error: HostlinkError, node: str) -> None:
         """Log a refusal in the daemon's log and on /rosout."""

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import functools
+import time
 from collections import defaultdict
 from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING, Any, assert_never
@@ -61,6 +62,7 @@ def definitions(type_name: str) -> dict[str, Fields]:
 
 
 INBOX_DEPTH = 64  # messages of a topic from ROS 2 that wait to be sent
+_NS_PER_S = 1_000_000_000
 COMMAND_INBOX_DEPTH = 8  # of all publishers of a velocity topic
 CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
 
@@ -181,17 +183,19 @@ class Routes:
 
     async def _drive(self, route: VelocityInput) -> None:
         cls, is_stamped = load_type(route.ros2_type), route.ros2_type == TWIST_STAMPED
-        inbox: ThreadInbox[tuple[Any, Mapping[str, Any]]] = ThreadInbox(max_waiting=COMMAND_INBOX_DEPTH)
+        inbox: ThreadInbox[tuple[Any, Mapping[str, Any], float]] = ThreadInbox(max_waiting=COMMAND_INBOX_DEPTH)
+        loop = asyncio.get_running_loop()
 
         def receive(message: Any, info: Mapping[str, Any]) -> None:
-            inbox.put("", (message, info))
+            """Note a velocity and its arrival. Called in rclpy's thread."""
+            inbox.put("", (message, info, loop.time() - waited_s(info, time.time_ns())))
 
         with self._velocity.driving(route):
             async with self._node.subscription(route.topic, cls, COMMANDS, receive, is_raw=False):
-                async for message, info in inbox:
+                async for message, info, came_s in inbox:
                     twist = _twist(message.twist if is_stamped else message)
                     is_first = info.get("publication_sequence_number") == 1
-                    self._velocity.receive(route, twist, sender(route, info), is_first=is_first)
+                    self._velocity.receive(route, twist, sender(route, info), came_s=came_s, is_first=is_first)
 
     async def _serve(self, route: Server) -> None:
         cls = load_type(ros2_type(route.type_name, "srv"))
@@ -234,6 +238,12 @@ class Routes:
                 return to_json(await self._node.call(client, request))
         except TimeoutError:
             raise HostlinkError(f"{route.service}: no answer from ROS 2 within {CALL_TIMEOUT_S:g} s") from None
+
+
+def waited_s(info: Mapping[str, Any], now_ns: int) -> float:
+    """Return how long a message waited until rclpy took it; 0 where the middleware does not tell when it came."""
+    received_ns = int(info.get("received_timestamp") or 0)
+    return max(now_ns - received_ns, 0) / _NS_PER_S if received_ns > 0 else 0.0
 
 
 def sender(route: VelocityInput, info: Mapping[str, Any]) -> bytes | str:

@@ -60,14 +60,20 @@ class VelocityDriver:
             for owner in self._owners.values():
                 owner.end(route)
 
-    def receive(self, route: VelocityInput, twist: Twist, key: Key, *, is_first: bool = False) -> None:
-        """A velocity came on a topic, from this publisher; `is_first`: of all that it has published there."""
+    def receive(
+        self, route: VelocityInput, twist: Twist, key: Key, *, came_s: float | None = None, is_first: bool = False
+    ) -> None:
+        """A velocity of this publisher came on a topic `came_s`; None: now. `is_first`: of all that it published there.
+
+        One that has waited for a lease is dropped when it is sent.
+        """
         self._note_time()
         owner = self._owners.get(key) or self._add(key)
         if owner is not None:
             older = self._older.get(route.robot)
             is_older = older is not None and not is_first and key in older.keys
-            owner.receive(route, twist, older.until_s if older is not None and is_older else None)
+            older_until_s = older.until_s if older is not None and is_older else None
+            owner.receive(route, twist, asyncio.get_running_loop().time() if came_s is None else came_s, older_until_s)
 
     def update(self, robots: Iterable[str], publishers: frozenset[Key]) -> None:
         """The robots that the daemon knows, and the publishers that ROS 2 has now: who is gone drives no more.
@@ -136,17 +142,16 @@ class _Owner:
         self._was_there = False
         self._free_at_s = 0.0
 
-    def receive(self, route: VelocityInput, twist: Twist, older_until_s: float | None) -> None:
+    def receive(self, route: VelocityInput, twist: Twist, came_s: float, older_until_s: float | None) -> None:
         """Take a velocity of the publisher. `older_until_s`: until then a stream may have started earlier."""
-        now_s = asyncio.get_running_loop().time()
         if route not in self._motions:
             self._motions[route] = EarlierMotion() if older_until_s is None else EarlierMotion(older_until_s)
-        epoch, before = self._motions[route].pop_epoch(now_s), self._waiting.get(route)
+        epoch, before = self._motions[route].pop_epoch(came_s), self._waiting.get(route)
         if before is not None and before.twist.is_planar and not twist.is_planar:
             return  # the daemon would refuse it, and what waits would be lost
         if before is not None and epoch is None:
             epoch = before.epoch  # of the motion that this velocity continues, and which the daemon does not know yet
-        self._waiting[route] = _WaitingVelocity(route.robot, twist, None if twist.is_zero else epoch, now_s)
+        self._waiting[route] = _WaitingVelocity(route.robot, twist, None if twist.is_zero else epoch, came_s)
         self._news.set()
 
     def is_gone(self, *, is_there: bool) -> bool:

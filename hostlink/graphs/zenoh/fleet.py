@@ -35,7 +35,7 @@ from hostlink.graphs.zenoh.fleet_topics import MAX_MESSAGE_BYTES, FleetTopics, n
 from hostlink.graphs.zenoh.roster import FleetRoster, Neighbour, Place
 from hostlink.graphs.zenoh.session import Declaration, Token, ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
-from hostlink.hub.robot import LocalRobot, RemoteRobot, RobotHosts
+from hostlink.hub.robot import LocalRobot, RemoteRobot
 from hostlink.logs import of_peer, printable
 from hostlink.loop_time import loop_time_s
 from hostlink.mirror.inbox import SLICE_S
@@ -63,6 +63,7 @@ class FleetStates:
         self._due_s = 0.0
         self._greeting_until_s = 0.0
         self._known: tuple[object, ...] = ()
+        self._topics = 0
         self._marks: dict[str, object] = {}  # by which a motion that was sent is known
 
     def greet(self) -> None:
@@ -71,7 +72,7 @@ class FleetStates:
 
     def tick(self, topics: int) -> None:
         """Send what has changed; `topics`: the number of the list of topics."""
-        now_s = loop_time_s()
+        self._topics, now_s = topics, loop_time_s()
         states = self.states()
         known = (topics, *(msgspec.structs.replace(each, **_UNSTEADY) for each in states))
         if now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known:
@@ -101,6 +102,11 @@ class FleetStates:
             robots = sorted(robots, key=lambda robot: robot.link is None)[:MAX_ROBOTS]
         return tuple(map(state_of, robots))
 
+    def end(self) -> None:
+        """Tell the other daemons that this one ends, which stops its robots."""
+        last = tuple(msgspec.structs.replace(each, link=None, holder=None) for each in self.states())
+        self._states.put(encode(State(sent_s=loop_time_s(), topics=self._topics, robots=last, is_last=True)))
+
     def close(self) -> None:
         """Withdraw both publishers."""
         self._states.close()
@@ -122,7 +128,7 @@ class FleetRobots:
         hub: Hub,
         transport: FleetTransport,
         roster: FleetRoster,
-        requests: RobotHosts,
+        requests: FleetRequests,
         topics: FleetTopics,
     ) -> None:
         self._hub, self._transport, self._roster = hub, transport, roster
@@ -187,8 +193,9 @@ class FleetRobots:
     def _update(self, robot: RemoteRobot, place: Place) -> None:
         state, epoch = place.state.state, place.state.epoch
         robot.connect(state.link if place.is_connected else None, epoch, self._hub.robots.new_number)
+        lock_reason = state.lock_reason or self._requests.lock_reason(state.name)
         holder = state.holder and state.holder.removesuffix(f" at {self._transport.me.name}")  # one who is here
-        robot.update(msgspec.structs.replace(state, holder=holder), epoch=epoch)
+        robot.update(msgspec.structs.replace(state, holder=holder, lock_reason=lock_reason), epoch=epoch)
         is_driven_here = not robot.also_at and self._is_free(robot.name)
         if place.is_connected and is_driven_here:
             self._topics.show(robot, place.neighbour)
@@ -216,7 +223,11 @@ class FleetRobots:
             self._lock_likewise(robot)
 
     def _lock_likewise(self, robot: LocalRobot) -> None:
-        """Lock a robot that another daemon had locked before it connected here."""
+        """Lock a robot that was locked at another daemon, or for one out of sight, before it connected here."""
+        reason = self._requests.lock_reason(robot.name)
+        if reason is not None and robot.gate.lock_reason is None:
+            with contextlib.suppress(HostlinkError):
+                robot.lock_here(reason)
         for neighbour in self._roster.all():
             state = neighbour.robots.get(robot.name)
             if state is not None and state.lock_reason is not None and robot.gate.lock_reason is None:
@@ -260,6 +271,7 @@ def _log_duplicate(name: str, hosts: Iterable[str]) -> None:
 
 
 TICK_S = 0.1
+_UNHEARD = "Robots there are shown as last seen; a stop or a lock is in force there when the host is seen again"
 FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have been dropped
 
 
@@ -277,10 +289,12 @@ class Fleet:
         self._requests = FleetRequests(self._transport, self._roster)
         self._topics = FleetTopics(hub, self._transport, self._drivers, self._roster)
         self._robots = FleetRobots(hub, self._transport, self._roster, self._requests, self._topics)
+        self._requests.show = self._robots.apply_soon
         self._declarations: list[Declaration] = []
         self._tokens = Declaration()  # the subscription to those of other daemons
         self._dropped = 0  # by Zenoh, when it was made
         self._found_at_s = 0.0
+        self._unheard: tuple[str, ...] = ()  # names of daemons
         self._has_ended = False
 
     # -- its life -----------------------------------------------------------------------------------------------------
@@ -312,6 +326,7 @@ class Fleet:
         """Leave the fleet: the robots of others are unknown, and what others drive here stops."""
         self._has_ended = True
         self._hub.gates.reach(None)
+        self._states.end()  # before the token goes
         for declaration in (*self._declarations, self._tokens):
             declaration.close()
         self._topics.end()
@@ -340,8 +355,26 @@ class Fleet:
         self._robots.apply_soon(self._roster.watch(now_s) | self._roster.forget(now_s))
         self._robots.apply(self._names_here())
         self._robots.follow(now_s)
+        self._tell_unheard()
         if self._dropped != transport.session.counts["dropped"] and now_s >= self._found_at_s + FIND_INTERVAL_S:
             self._find_daemons(now_s)  # what was dropped may have been a token
+
+    def _tell_unheard(self) -> None:
+        """Tell users here which daemons are not heard, and that none is heard: then this host may be cut off."""
+        before, self._unheard = self._unheard, self._roster.unheard()
+        if before == self._unheard:
+            return
+        names = ", ".join(map(printable, self._unheard))
+        is_deaf = bool(self._unheard) and not any(each.is_alive for each in self._roster.all())
+        log.warning("fleet.hearing_changed", unheard=list(map(printable, self._unheard)), hears_nobody=is_deaf)
+        self._transport.counts["deaf"] += is_deaf
+        if is_deaf:
+            text = f"this host hears no other host of the fleet ({names} before): it may be cut off. {_UNHEARD}"
+        elif self._unheard:
+            text = f"not heard: {names}. {_UNHEARD}"
+        else:
+            text = "every host of the fleet is heard again"
+        self._hub.rosout.warn("fleet", text)
 
     def _names_here(self) -> set[str]:
         """Return robots here whose name another daemon has too: one of them may have connected or left."""
@@ -365,6 +398,7 @@ class Fleet:
                 self._lose(sender)
             elif self._roster.appear(sender, loop_time_s()):
                 self._states.greet()
+                self._requests.greet()
                 log.info("fleet.daemon_appeared", host=printable(sender.name), zid=printable(sender.zid))
                 self._compare_name(sender)
 
@@ -402,13 +436,9 @@ class Fleet:
 
     def _receive_answer(self, sample: ZenohSample) -> None:
         """Stops and locks are answered with the robots as they are now."""
-        neighbour, answer = self._roster.find(self._transport.keys.sender(sample.key)), self._requests.receive(sample)
-        if answer is None or neighbour is None:
-            return
-        for state in answer.robots:
-            if state.name in neighbour.robots:
-                neighbour.robots[state.name] = state
-                self._robots.apply((state.name,))
+        answer = self._requests.receive(sample)
+        if answer is not None:
+            self._robots.apply(state.name for state in answer.robots)
 
 
 @contextlib.asynccontextmanager

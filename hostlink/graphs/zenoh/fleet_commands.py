@@ -5,7 +5,8 @@ import contextlib
 import fnmatch
 import functools
 import itertools
-from collections.abc import Awaitable, Hashable
+import math
+from collections.abc import Awaitable, Callable, Hashable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, assert_never
 
@@ -30,6 +31,7 @@ from hostlink.graphs.zenoh.fleet_messages import (
     Unlock,
     state_of,
 )
+from hostlink.graphs.zenoh.fleet_orders import ANSWER_TIMEOUT_S, FleetOrders, Order
 from hostlink.graphs.zenoh.roster import FleetRoster, Neighbour
 from hostlink.graphs.zenoh.session import ZenohSample
 from hostlink.hub.hub import Hub
@@ -71,6 +73,8 @@ class FleetDrivers:
         neighbour = self._roster.announced(self._transport.keys.sender(sample.key))
         request = None if neighbour is None else self._transport.decode(sample.payload, decoder)
         if neighbour is None or request is None:
+            return
+        if isinstance(request, Stop | Lock) and request.to and self._transport.me.zid not in request.to:
             return
         with bound_contextvars(**of_peer(f"fleet {neighbour.sender.name}")):
             answered = self._answer(neighbour, request)
@@ -153,6 +157,11 @@ class FleetDrivers:
     def _stop(self, neighbour: Neighbour, request: StopRequest) -> FleetAnswer:
         name, by = request.robot, printable(neighbour.sender.name)
         robots = [robot for robot in self._hub.robots.here() if name in (None, robot.name)]
+        is_repeated = request.number in neighbour.stops
+        if is_repeated:  # its answer was lost; obeying again could end what began since
+            return FleetAnswer(number=request.number, robots=tuple(map(state_of, robots)))
+        if robots or name is None:  # a robot that is not here yet is stopped or locked once it is
+            neighbour.stops.append(request.number)
         if name is None:
             self._hub.robots.stop_all_here(by=by)
         for robot in robots if name is not None else ():
@@ -192,9 +201,7 @@ def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None) -> Fle
 
 log = structlog.get_logger()
 
-ANSWER_TIMEOUT_S = 0.5  # as long as a command lasts
 MAX_WAITING = 4096  # commands without an answer; the oldest is forgotten
-MAX_UNSETTLED = 64  # stops and locks
 _TEXT = 200
 
 
@@ -222,20 +229,6 @@ class _Command:
         return Twist(*(self.answer.velocity or ())).planar
 
 
-@dataclass(slots=True, eq=False)
-class _Unsettled:
-    """Stop, lock or unlock that some daemons have not answered."""
-
-    request: Unlock | StopRequest
-    verb: str
-    to: str
-    missing: dict[str, str]  # the names of daemons, by id
-    since_s: float
-    what: str
-    refusal: str = ""
-    is_settled: asyncio.Event = field(default_factory=asyncio.Event)
-
-
 class FleetRequests:
     """Implementation of RobotHosts. A command is sent to the daemon of the robot, a stop or a lock to all."""
 
@@ -246,7 +239,8 @@ class FleetRequests:
         self._owners: dict[Hashable, int] = {}
         self._newest: dict[tuple[Hashable, str], _Command] = {}
         self._waiting: dict[int, _Command] = {}
-        self._unsettled: dict[int, _Unsettled] = {}
+        self._orders = FleetOrders(roster)
+        self.show: Callable[[Iterable[str]], None] = lambda _: None  # called with the robots whose lock has changed
 
     # -- RobotHosts ---------------------------------------------------------------------------------------------------
 
@@ -262,6 +256,9 @@ class FleetRequests:
         before = self._newest.pop((owner, robot.name), None)
         if before is not None and not velocity.is_zero:
             self._raise_refusal(before, now_s)
+        if not velocity.is_zero and not neighbour.answers(now_s, ANSWER_TIMEOUT_S):
+            raise DeviceGone(robot.name, f"{robot.host} does not answer; its robots stop by their own lease")
+        neighbour.unanswered_since_s = min(neighbour.unanswered_since_s, now_s)
         if owner not in self._owners:
             self._owners[owner] = next(self._owner_numbers)
         command = _Command(next(self._numbers), neighbour, robot, now_s)
@@ -310,12 +307,18 @@ class FleetRequests:
             self._transport.put("drive", request, to=neighbour.sender.zid)
 
     def stop(self, name: str | None) -> None:
-        """Stop all robots of this name at all daemons; None: every robot."""
+        """Stop all robots of this name at all daemons, also at those out of sight; None: every robot."""
         self._send_to_all(Stop(number=next(self._numbers), robot=name), "stop")
 
     def lock(self, name: str, reason: str) -> None:
-        """Lock all robots of this name at all daemons."""
+        """Lock all robots of this name at all daemons, also at those out of sight."""
         self._send_to_all(Lock(number=next(self._numbers), robot=name, reason=reason), "lock")
+        self.show((name,))
+
+    def lock_reason(self, name: str) -> str | None:
+        """Return the reason of a lock that a daemon has not obeyed yet, as it will show it."""
+        reason = self._orders.lock_reason(name)
+        return None if reason is None else f"{reason} ({self._transport.me.name})"
 
     def unlock(self, robot: RemoteRobot) -> None:
         """Let it be driven again.
@@ -325,7 +328,10 @@ class FleetRequests:
         """
         zid = self._neighbour(robot).sender.zid
         request = Unlock(number=next(self._numbers), robot=robot.name)
-        self._send(_Unsettled(request, "drive", zid, {zid: robot.host}, loop_time_s(), "unlock"))
+        self._orders.withdraw_locks(robot.name)
+        self._orders.add(request, "unlock", {zid: robot.host}, loop_time_s())
+        self._transport.put("drive", request, to=zid)
+        self.show((robot.name,))
 
     async def settled(self) -> None:
         """Wait until every daemon has answered the stops, locks and unlocks so far.
@@ -333,29 +339,32 @@ class FleetRequests:
         Raises:
             DeviceGone: one of them has not answered in time, or has refused.
         """
-        waited_for = list(self._unsettled.items())
+        waited_for = self._orders.fresh()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(ANSWER_TIMEOUT_S):
-                for _, each in waited_for:
+                for each in waited_for:
                     await each.is_settled.wait()
-        for number, each in waited_for:
-            self._unsettled.pop(number, None)
-            if each.missing:
+        for each in waited_for:
+            if each.missing and not each.is_overdue:
+                each.is_overdue = True
                 self._log_unanswered(each)
-        for _, each in waited_for:
+        for each in waited_for:
             if each.missing or each.refusal:
-                hosts = ", ".join(each.missing.values())
-                raise DeviceGone(
-                    hosts or each.what, each.refusal or f"has not answered the {each.what}; what is here has"
-                )
+                hosts = ", ".join(sorted(set(each.missing.values())))
+                raise DeviceGone(hosts or each.what, each.refusal or _unanswered(each))
 
     # -- answers ------------------------------------------------------------------------------------------------------
 
     def receive(self, sample: ZenohSample) -> FleetAnswer | None:
-        """An answer of another daemon; returned if it is one to a stop, a lock or an unlock."""
+        """An answer of another daemon; returned if it is one to a stop, a lock or an unlock.
+
+        The robots in it are noted; the caller shows them.
+        """
         sender, answer = self._transport.keys.sender(sample.key), self._transport.decode(sample.payload, ANSWER)
-        if answer is None:
+        neighbour = self._roster.find(sender)
+        if answer is None or neighbour is None:
             return None
+        neighbour.unanswered_since_s = math.inf
         command = self._waiting.get(answer.number)
         if command is not None and sender == command.neighbour.sender:
             del self._waiting[answer.number]
@@ -363,28 +372,25 @@ class FleetRequests:
             command.robot.note_epoch(answer.epoch, lock_reason=command.robot.admission.lock_reason)
             command.is_answered.set()
             return None
-        unsettled = self._unsettled.get(answer.number)
-        if unsettled is None or sender is None:
+        if not self._orders.receive(neighbour.sender, answer):
             return None
-        if unsettled.missing.pop(sender.zid, None) is not None and answer.error:
-            unsettled.refusal = printable(answer.reason, _TEXT)
-        if not unsettled.missing:
-            unsettled.is_settled.set()
+        for state in answer.robots:
+            if state.name in neighbour.robots:
+                neighbour.robots[state.name] = state
         return answer
 
-    def tick(self) -> None:
-        """Repeat stops and locks without an answer, and forget requests that are too old.
+    def greet(self) -> None:
+        """A daemon has appeared: it may have missed stops and locks."""
+        self._orders.greet(loop_time_s())
 
-        An unlock is sent once: a repetition would end a later lock.
-        """
+    def tick(self) -> None:
+        """Repeat stops and locks without an answer, and forget commands that are too old."""
         now_s = loop_time_s()
-        for number, each in list(self._unsettled.items()):
-            if now_s > each.since_s + 2 * ANSWER_TIMEOUT_S:
-                del self._unsettled[number]
-                if each.missing:
-                    self._log_unanswered(each)
-            elif each.missing and not isinstance(each.request, Unlock):
-                self._transport.put(each.verb, each.request, to=each.to)
+        overdue, repeated = self._orders.tick(now_s)
+        for each in overdue:
+            self._log_unanswered(each)
+        for request in repeated:
+            self._transport.put("stop", request)
         for number, command in list(self._waiting.items()):
             if now_s < command.sent_at_s + 2 * ANSWER_TIMEOUT_S:
                 break
@@ -406,25 +412,18 @@ class FleetRequests:
             before.result()
 
     def _send_to_all(self, request: StopRequest, what: str) -> None:
-        missing = {
-            each.sender.zid: each.sender.name
-            for each in self._roster.all()
-            if any(each.is_connected(robot) for robot in each.robots if request.robot in (None, robot))
-        }
-        self._send(_Unsettled(request, "stop", "", missing, loop_time_s(), what))
+        self._orders.add(request, what, self._orders.receivers(request), loop_time_s())
+        self._transport.put("stop", request)
 
-    def _send(self, unsettled: _Unsettled) -> None:
-        """Send a request. `tick` repeats a stop or a lock until the daemons that are missing have answered."""
-        if unsettled.missing:
-            self._unsettled[unsettled.request.number] = unsettled
-            if len(self._unsettled) > MAX_UNSETTLED:
-                del self._unsettled[next(iter(self._unsettled))]
-        self._transport.put(unsettled.verb, unsettled.request, to=unsettled.to)
-
-    def _log_unanswered(self, unsettled: _Unsettled) -> None:
+    def _log_unanswered(self, order: Order) -> None:
         self._transport.counts["unanswered"] += 1
-        hosts = [printable(host) for host in unsettled.missing.values()]
-        log.warning("fleet.unanswered", what=unsettled.what, hosts=hosts)
+        hosts = [printable(host) for host in order.missing.values()]
+        log.warning("fleet.unanswered", what=order.what, hosts=hosts)
+
+
+def _unanswered(order: Order) -> str:
+    text = f"has not answered the {order.what}; what is here has"
+    return text if isinstance(order.request, Unlock) else f"{text}. It is in force there when the host is seen again"
 
 
 def _error_of(robot: str, answer: FleetAnswer) -> HostlinkError:

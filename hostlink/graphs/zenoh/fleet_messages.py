@@ -154,6 +154,7 @@ class State(msgspec.Struct, frozen=True, kw_only=True):
     sent_s: float
     topics: int
     robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+    is_last: bool = False  # the daemon ends, and has stopped its robots; an older daemon does not send it
 
 
 class RobotMotion(msgspec.Struct, frozen=True, array_like=True):
@@ -220,19 +221,24 @@ class Unlock(msgspec.Struct, frozen=True, kw_only=True, tag="unlock"):
     robot: RobotName
 
 
+Receivers = Annotated[tuple[Annotated[str, msgspec.Meta(max_length=64)], ...], msgspec.Meta(max_length=64)]
+
+
 class Stop(msgspec.Struct, frozen=True, kw_only=True, tag="stop"):
-    """Stop all robots of a name at all daemons; None: every robot."""
+    """Stop all robots of a name at all daemons; None: every robot. `to`: only at the daemons of these ids."""
 
     number: int
     robot: RobotName | None = None
+    to: Receivers = ()
 
 
 class Lock(msgspec.Struct, frozen=True, kw_only=True, tag="lock"):
-    """Stop all robots of a name, and refuse commands until they are unlocked."""
+    """Stop all robots of a name, and refuse commands until they are unlocked. `to`: as for a stop."""
 
     number: int
     robot: RobotName
     reason: Text
+    to: Receivers = ()
 
 
 class FleetAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -1,7 +1,7 @@
 """FleetRoster: which other daemons there are, and which robots each of them has. Pure."""
 
 import math
-from collections import Counter, OrderedDict, defaultdict
+from collections import Counter, OrderedDict, defaultdict, deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ MAX_DAEMONS = 256
 MAX_GONE = 64  # daemons that are gone, whose robots are still shown
 MAX_REMOTE_ROBOTS = 1024  # names; each change of so many keeps the loop for 40 ms
 MAX_NAMESAKES = 4  # daemons that have a robot of one name; if there are two, no other daemon may drive either robot
+MAX_STOPS = 64  # of one daemon, by which a repetition is known
 SILENT_S = 3.0  # a daemon sends its state each second; one that has a token and sends nothing has stopped
 
 
@@ -29,11 +30,20 @@ class Neighbour:
     listed: dict[str, list[FleetTopic]] = field(default_factory=dict)  # that list, by robot
     freshness: Freshness = field(default_factory=Freshness)
     is_silent: bool = False
+    was_heard: bool = False
+    has_ended: bool = False  # it said so: its robots are stopped
+    successor: Sender | None = None  # the same daemon after a restart
+    stops: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_STOPS))  # numbers of its stops and locks, obeyed
+    unanswered_since_s: float = math.inf  # the first command to it since it was heard
 
     @property
     def is_alive(self) -> bool:
         """Whether its robots may be connected."""
         return math.isinf(self.gone_at_s) and not self.is_silent
+
+    def answers(self, now_s: float, within_s: float) -> bool:
+        """Whether it has answered, or sent a state, within this time of a command: else users here do not see it."""
+        return now_s <= self.unanswered_since_s + within_s
 
     def is_connected(self, name: str) -> bool:
         """Whether a robot of it is there to be driven."""
@@ -66,6 +76,23 @@ class FleetRoster:
         """Every daemon that has a token."""
         return list(self._neighbours.values())
 
+    def known(self) -> list[Neighbour]:
+        """Every daemon, also those that ended or are out of sight, without those that were restarted since."""
+        return [*self._neighbours.values(), *(each for each in self._gone.values() if each.successor is None)]
+
+    def unheard(self) -> tuple[str, ...]:
+        """The names of the daemons that are out of sight, or silent."""
+        lost = [each for each in self.known() if not each.is_alive and each.was_heard and not each.has_ended]
+        return tuple(sorted(each.sender.name for each in lost))
+
+    def find_known(self, zid: str) -> Neighbour | None:
+        """Return the daemon of an id, also if it is out of sight; None if it is forgotten."""
+        return self._neighbours.get(zid) or self._gone.get(zid)
+
+    def is_there(self, zid: str) -> bool:
+        """Whether the daemon has a token."""
+        return zid in self._neighbours
+
     def find(self, sender: Sender | None) -> Neighbour | None:
         """The daemon that has sent something, if it has a token under that name."""
         neighbour = None if sender is None else self._neighbours.get(sender.zid)
@@ -89,6 +116,9 @@ class FleetRoster:
             neighbour = Neighbour(sender, now_s)
         neighbour.gone_at_s, neighbour.heard_at_s = math.inf, now_s
         neighbour.is_silent, neighbour.topics = True, -1  # until it sends
+        for gone in self._gone.values():
+            if gone.sender.name == sender.name and gone.successor is None:
+                gone.successor = sender
         self._neighbours[sender.zid] = neighbour
         return True
 
@@ -120,7 +150,8 @@ class FleetRoster:
         if neighbour is None:
             return set()
         self._counts["met"] += neighbour.is_silent
-        neighbour.heard_at_s, neighbour.is_silent = now_s, False
+        neighbour.heard_at_s, neighbour.is_silent, neighbour.was_heard = now_s, False, True
+        neighbour.has_ended, neighbour.unanswered_since_s = state.is_last, math.inf
         robots = {robot.name: robot for robot in state.robots if robot.is_below_its_name}
         self._counts["foreign_topics"] += len(state.robots) - len(robots)
         touched = set(neighbour.robots) | set(robots)

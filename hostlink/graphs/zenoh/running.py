@@ -20,6 +20,7 @@ async def zenoh_running(hub: Hub, config: ZenohConfig) -> AsyncIterator[None]:
     """
     async with opened(config, hub.isolation) as session, contextlib.AsyncExitStack() as parts:
         hub.counts.graphs["zenoh"] = lambda: session.counts
+        hub.spawn(session.run(), name="zenoh")
         if config.fleet:
             await parts.enter_async_context(fleet_running(hub, session, config))
         if config.ros2:

@@ -13,6 +13,7 @@ import structlog
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import ConfigError
+from hostlink.graphs.zenoh.lingering import SWEEP_INTERVAL_S, LingerSweep
 from hostlink.graphs.zenoh.settings import library, reach_of, reason_of, settings_of
 from hostlink.hub.isolation import Isolation
 from hostlink.logs import printable
@@ -96,8 +97,8 @@ class ZenohPublisher:
 class ZenohSession:
     """One Zenoh session. Its methods are called in the loop, wait for nothing, and do not raise what Zenoh raises.
 
-    `counts`: `dropped` and `oversized` of what came, `failed` calls of Zenoh; what `receive` callbacks raise is passed
-    to the hub's isolation.
+    `counts`: `links` that were opened, `dropped` and `oversized` of what came, `failed` calls of Zenoh; what `receive`
+    callbacks raise is passed to the hub's isolation.
     """
 
     def __init__(self, zenoh: Any, session: Any, isolation: Isolation) -> None:
@@ -251,7 +252,14 @@ class ZenohSession:
             return next((name for name in names if name), "")
         return ""
 
-    # -- its end ------------------------------------------------------------------------------------------------------
+    # -- its life -----------------------------------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Keep the end of one link from delaying all others, until the session is closed."""
+        sweep = LingerSweep()
+        while not self._is_closed:
+            self.counts["links"] += sweep.sweep()
+            await asyncio.sleep(SWEEP_INTERVAL_S)
 
     async def aclose(self) -> None:
         """End the session: tokens and declarations go, for everybody at once. It waits for a second at most."""

@@ -6,9 +6,11 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 import zenoh
 
 from hostlink.config import Config, ZenohConfig
+from hostlink.errors import HostlinkError
 from hostlink.graphs.zenoh.fleet_messages import (
     MAX_ROBOTS,
     FleetCommand,
@@ -18,7 +20,9 @@ from hostlink.graphs.zenoh.fleet_messages import (
     TopicList,
     encode,
 )
+from hostlink.graphs.zenoh.lingering import ZENOHS, stream_sockets
 from hostlink.robot.velocity import PlanarVelocity
+from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import driven
 from tests.support.fake_device import fake_device, pose, robot_topics
@@ -53,14 +57,50 @@ async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:
                 watch = Stopwatch()
                 assert await device.velocity_other_than(MOVING) == STILL
                 assert watch.seconds < 0.8 or a.was_paused  # a lease, and a step of the gate
-                await expect(lambda: b.hub.robots.remote["robot_7"].link is None)
-                assert watch.seconds < 2.0 or a.was_paused
+                await asyncio.Event().wait()
+        await expect(lambda: b.hub.robots.remote["robot_7"].link is None)
+        assert watch.seconds < 2.0 or a.was_paused
         line.set_line(Line.WORKS)
         line.break_off()
         await expect(lambda: b.hub.robots.remote["robot_7"].link)
         assert b.hub.robots.remote["robot_7"].link != before  # every driver must drive again
         await expect(lambda: a.hub.counts.graphs["fleet"]()["met"] == 2)
         assert (await drive(b, "robot_7", 0.1))[0] == 200
+
+
+@pytest.mark.parametrize("path", ["/api/stop", "/api/robots/robot_7/stop", "/api/robots/robot_7/lock"])
+async def test_stop_or_lock_of_a_host_that_was_cut_off_is_503_and_in_force_when_it_is_seen_again(path: str) -> None:
+    """A program at the robot's own daemon drives on meanwhile, whatever it is answered."""
+    async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")) as device:
+        await shown(b, "robot_7")
+        program = a.hub.join("program")
+
+        async def go_on() -> None:
+            while True:
+                with contextlib.suppress(HostlinkError):
+                    program.drive(a.hub.robots.find("robot_7"), PlanarVelocity(0.2))
+                await asyncio.sleep(0.1)
+
+        async with meanwhile(go_on()):
+            await device.velocity_of(MOVING)
+            line.set_line(Line.SWALLOWS)
+            await expect(lambda: b.hub.robots.remote["robot_7"].link is None)
+            status, answer = await b.rest("POST", path)
+            assert (status, "a: has not answered" in str(answer)) == (503, True)
+            assert a.hub.robots.find("robot_7").state(0.0).velocity.x_m_s == 0.2 or a.was_paused
+            line.set_line(Line.WORKS)
+            line.break_off()
+            await device.velocity_of(STILL)
+            is_locked = path.endswith("lock")
+            for known in (a.hub.robots.find("robot_7"), b.hub.robots.remote["robot_7"]):
+                await expect(lambda known=known: (known.state(0.0).lock_reason is not None) is is_locked)
+
+
+async def test_no_link_of_a_fleet_is_closed_with_waiting() -> None:
+    """A close that waits 10 s for a host that vanished makes the daemon deaf to all others (tools/netns_fleet.py)."""
+    async with fleet("a", "b") as hosts:  # in one process, each finds the sockets of both
+        await expect(lambda: sum(host.hub.counts.graphs["zenoh"]()["links"] for host in hosts) >= 2)
+        await expect(lambda: all(linger != ZENOHS for linger in stream_sockets().values()))
 
 
 async def test_delayed_commands_move_no_robot() -> None:

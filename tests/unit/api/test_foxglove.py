@@ -133,7 +133,10 @@ async def test_slow_client_loses_oldest_of_the_topic_that_fills_its_queue(here: 
     for number in range(MAX_MESSAGES + 10):
         robot.publish("/much", text(str(number)))
     assert peer.queue.dropped == 11
-    received = peer.messages()
+    heard = peer.received()
+    (told,) = [each["message"] for each in heard if isinstance(each, dict) and each["op"] == "status"]
+    assert "messages dropped: 1 (/much 1)" in told
+    received = [(*struct.unpack_from("<BIQ", each), each[13:]) for each in heard if isinstance(each, bytes)]
     assert (received[0][1], received[0][3]) == (1, text("first"))
     assert (received[1][3], received[-1][3]) == (text("11"), text(str(MAX_MESSAGES + 9)))
 

@@ -20,7 +20,7 @@ from hostlink.hub.hub import Hub
 from hostlink.link.fair_share import TURN_S
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
-from tests.support.virtual_loop import inside, run_virtual
+from tests.support.virtual_loop import VirtualLoop, inside, run_virtual
 
 TIMEOUT_S = 7.0
 
@@ -84,6 +84,12 @@ class Scene:
         buffer[: len(data)] = data
         self.reading.buffer_updated(len(data))
 
+    def burn(self, seconds: float) -> None:
+        """Let time pass without a turn of the loop."""
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.burn(seconds)
+
     def become_web_socket(self) -> None:
         self.reading.become_web_socket(on_read=lambda: self.reads.append(None), on_writable=lambda: None)
 
@@ -143,12 +149,47 @@ async def test_bytes_behind_a_full_buffer_are_as_old_as_those_before_them(scene:
     size = SOCKET_BYTES if is_web_socket else REQUEST_BYTES
     assert len(scene.reading.get_buffer(-1)) == size
     scene.read(bytes(size))
-    await asyncio.sleep(1.0)
+    await asyncio.sleep(0.01)
+    scene.burn(0.99)
     scene.read(b"behind")
     assert scene.reading.came_s == 100.0
     await asyncio.sleep(1.0)
     scene.read(b"later")
     assert scene.reading.came_s == 102.0
+
+
+@pytest.mark.parametrize("size", [3, REQUEST_BYTES])
+@inside(check)
+async def test_request_after_one_that_waited_for_its_turn_is_as_old_as_its_own_read(scene: Scene, size: int) -> None:
+    scene.fill_turn()
+    scene.read(bytes(size))
+    assert scene.transport.is_paused
+    scene.burn(0.6)
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert not scene.transport.is_paused
+    scene.reading.begin_request()
+    scene.reading.end_request()
+    await asyncio.sleep(0.1)
+    scene.read(b"GET")
+    scene.reading.begin_request()
+    assert scene.reading.request_came_s == scene.now_s
+
+
+@inside(check)
+async def test_bytes_that_waited_while_the_inner_protocol_had_paused_reading_are_as_old(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.inner.on_data = scene.transport.pause_reading
+    scene.read(b"x")
+    await asyncio.sleep(2.0)
+    scene.transport.resume_reading()
+    scene.reading.note_reading()
+    scene.inner.on_data = lambda: None
+    scene.read(b"y")
+    assert scene.reading.came_s == 100.0
+    await asyncio.sleep(1.0)
+    scene.read(b"z")
+    assert scene.reading.came_s == 103.0
 
 
 @inside(check)

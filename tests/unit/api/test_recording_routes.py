@@ -21,9 +21,7 @@ async def recorded(folder: Path) -> AsyncIterator[tuple[RestMemory, Recordings]]
         try:
             yield api, made
         finally:
-            for each in made.under_way():
-                await made.stop(each.name)
-            await made.black_box.aclose()
+            await made.aclose()
 
 
 async def test_recording_is_started_listed_stopped_and_removed(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from hostlink.api.rosbridge import MAX_CALLS
+from hostlink.hub.queue import MAX_MESSAGES
 from tests.support.rosbridge_memory import call, offered, world
 from tests.support.virtual_loop import run_virtual
 
@@ -42,6 +43,30 @@ async def test_type_is_inferred_when_the_topic_is_advertised_later() -> None:
         speaker.send(op="publish", **CHAT, msg={"data": "hello"})
         assert messages(listener.received()) == [{"data": "hello"}]
         assert "/chat" in (await call(here.client(), "/rosapi/topics"))["topics"]
+
+
+@pytest.mark.parametrize(("level", "count"), [("error", 2), ("none", 0)])
+def test_slow_client_is_told_of_what_it_loses_at_once_and_then_every_ten_seconds(level: str, count: int) -> None:
+    async def run() -> None:
+        async with world() as here:
+            speaker, listener = here.client(), here.client()
+            listener.send(op="set_level", level=level)
+            for topic in ("/chat", "/flood"):
+                listener.send(op="subscribe", topic=topic, type="std_msgs/String")
+            speaker.send(op="publish", **CHAT, msg={"data": "kept"})
+            told = []
+            for number in range(MAX_MESSAGES + 1101):
+                speaker.send(op="publish", topic="/flood", type="std_msgs/String", msg={"data": f"{number}"})
+                await asyncio.sleep(0.01)
+            heard = listener.received()
+            told = [each for each in statuses(heard) if "too slowly" in each]
+            assert len(told) == count
+            assert [each["msg"]["data"] for each in heard if each.get("topic") == "/chat"] == ["kept"]
+            if count:
+                assert "messages dropped: 1 (/flood 1)" in told[0]
+                assert "messages dropped: 1000 (/flood 1000)" in told[1]
+
+    run_virtual(run())
 
 
 async def test_topic_is_echoed_in_the_spelling_of_the_client() -> None:

@@ -12,6 +12,7 @@ from hostlink.config import (
     ApiConfig,
     Config,
     LinkConfig,
+    RecordingConfig,
     RobotConfig,
     SerialConfig,
     TcpConfig,
@@ -19,6 +20,7 @@ from hostlink.config import (
     ZenohConfig,
 )
 from hostlink.errors import ConfigError
+from hostlink.recording.owner import FolderOwner
 
 TOKEN = TokenConfig(name="phone", role="drive", token="a-token-of-a-driver")
 OPEN = ApiConfig(host="0.0.0.0", port=0)
@@ -191,6 +193,16 @@ def test_a_port_that_is_in_use_is_a_warning_because_it_may_be_the_same_daemon() 
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         assert checked(Config(api=ApiConfig(port=port))) == [f"api.port {port} is in use at this moment"]
+
+
+def test_folder_of_recordings_that_another_daemon_owns_is_a_warning_that_names_the_daemon(tmp_path: Path) -> None:
+    config = Config(recording=RecordingConfig(folder=tmp_path))
+    owner = FolderOwner(tmp_path, "the daemon with process id 7")
+    owner.claim()
+    (warning,) = checked(config)
+    assert f"recording.folder {tmp_path} belongs to the daemon with process id 7" in warning
+    owner.release()
+    assert checked(config) == []
 
 
 def test_devices_and_programs_have_their_share_of_few_descriptors() -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hostlink.cli.topics import csv_line, field_of, flat, is_recording, readable
 from hostlink.errors import HostlinkError
+from hostlink.plain_text import csv_text
 
 MESSAGE = {"header": {"stamp": {"secs": 5}}, "ranges": [0.5, 1.5], "legs": [{"x": 1}, {"x": 2}], "name": "a"}
 
@@ -52,10 +53,14 @@ def test_a_row_has_a_cell_for_each_field_and_lists_are_one() -> None:
     assert csv_line(values) == '5,"[0.5, 1.5]","[{""x"": 1}, {""x"": 2}]",a'
 
 
+def test_text_that_a_spreadsheet_would_execute_begins_with_an_apostrophe() -> None:
+    assert csv_line(['=HYPERLINK("http://x")', -2, "-2"]) == """"'=HYPERLINK(""http://x"")",-2,'-2"""
+
+
 @given(st.lists(st.one_of(st.text(st.characters(exclude_characters="\r\n\x00")), st.integers()), min_size=1))
 def test_a_table_is_read_again(cells: list[str | int]) -> None:
     (row,) = csv.reader([csv_line(cells)]) if any(map(str, cells)) else [list(map(str, cells))]
-    assert row == list(map(str, cells))
+    assert row == [csv_text(cell) if isinstance(cell, str) else str(cell) for cell in cells]
 
 
 def test_numbers_have_the_digits_of_a_person() -> None:
@@ -77,3 +82,17 @@ def test_file_of_any_name_is_a_recording(tmp_path: Path) -> None:
     (tmp_path / "run").touch()
     assert is_recording(str(tmp_path / "run"))
     assert is_recording("no/such/file.mcap")
+
+
+def test_folder_is_a_recording_if_it_has_one_or_is_written_as_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot_0").mkdir()
+    assert not is_recording("robot_0")
+    assert not is_recording("/run")
+    assert is_recording("./robot_0")
+    assert is_recording("robot_0/")
+    assert is_recording(str(tmp_path / "robot_0"))
+    (tmp_path / "robot_0" / "run.mcap").touch()
+    assert is_recording("robot_0")

@@ -11,7 +11,9 @@ from hostlink.capture_file import Read, load_reads
 from hostlink.cli.inspect import Inspection, json_value
 from hostlink.errors import BadRequest
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.frame import encode
+from hostlink.protocol.control import encode_topic_info
+from hostlink.protocol.frame import Id, encode
+from tests.support.fake_device import topic
 
 
 def test_unknown_type_is_shown_as_bytes() -> None:
@@ -20,6 +22,20 @@ def test_unknown_type_is_shown_as_bytes() -> None:
     inspection = Inspection(Catalog())
     inspection.add_all([Read("device", (encode(0, info) + encode(125, b"\x01\x02")).hex())])
     assert inspection.view()["messages"] == {"/x": {"count": 1, "first": {"hex": "0102"}, "last": {"hex": "0102"}}}
+
+
+def test_one_id_in_both_directions_is_two_topics() -> None:
+    pose = encode_topic_info(topic(Id.PUBLISHER, 125, "/pose", "geometry_msgs/Pose2D"))
+    led = encode_topic_info(topic(Id.SUBSCRIBER, 125, "/led", "std_msgs/Bool"))
+    inspection = Inspection(Catalog())
+    inspection.add_all(
+        [
+            Read("device", (encode(0, pose) + encode(1, led) + encode(125, bytes(24))).hex()),
+            Read("host", encode(125, b"\x01").hex()),
+        ]
+    )
+    assert inspection.view()["messages"]["/pose"]["count"] == 1
+    assert inspection.view()["to_device"]["/led"]["first"] == {"data": True}
 
 
 @pytest.mark.parametrize(

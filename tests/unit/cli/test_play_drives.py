@@ -5,13 +5,16 @@ import contextlib
 import dataclasses
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from hostlink.cli import play
+from hostlink.client import Robot
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.recording.channel import DEVICE, VELOCITY
 from hostlink.robot.admission import LEASE_S
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.bench import Bench, bench, refused
 from tests.support.fake_device import robot_topics
 from tests.support.memory_hub import velocities
@@ -50,6 +53,34 @@ async def test_velocity_that_nothing_follows_holds_for_a_lease(tmp_path: Path) -
         await asyncio.sleep(LEASE_S + SENT_S)
         assert velocities(device)[-1] == STILL
         playing.cancel()
+
+
+class SlowRobot:
+    """Robot of a host that answers each velocity after 10 ms."""
+
+    name = "robot_0"
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[float, float]] = []  # time and speed
+
+    async def drive(self, linear_m_s: float, *_: float) -> None:
+        self.sent.append((asyncio.get_running_loop().time(), linear_m_s))
+        await asyncio.sleep(0.01)
+
+    async def stop(self, **_: float) -> None:
+        self.sent.append((asyncio.get_running_loop().time(), 0.0))
+
+
+@virtual
+async def test_velocities_of_one_time_move_the_robot_for_one_lease(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    speeds = [0.2, -0.1] * 150 + [0.1]
+    file = recording(tmp_path, [(1.0, COMMANDS, PlanarVelocity(each).encode()) for each in speeds])
+    robot, began_s = SlowRobot(), asyncio.get_running_loop().time()
+    await play.drive_as_recorded(cast(Robot, robot), file, PLAYBACK, "robot_0", COMMANDS.topic)
+    assert [(round(at_s - began_s, 2), speed) for at_s, speed in robot.sent] == [(0.0, 0.1), (0.5, 0.0), (0.51, 0.0)]
+    assert "300 velocities left out, because a newer one was due" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("way", ["stop", "lock"])

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import pytest
 
+from hostlink.client.callers import Callers
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.errors import HostlinkError
@@ -54,7 +55,7 @@ def _drive(test: Callable[[_Daemon, VelocitySender], Coroutine[None, None, None]
 
     async def run() -> None:
         daemon = _Daemon()
-        driver = VelocitySender(cast(HostConnection, daemon), daemon.now_s)
+        driver = VelocitySender(cast(HostConnection, daemon), Callers(daemon.now_s))
         async with asyncio.TaskGroup() as tasks:
             repeating = tasks.create_task(driver.repeat())
             await asyncio.sleep(1.0)

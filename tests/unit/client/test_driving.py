@@ -286,6 +286,112 @@ async def test_drive_that_is_cancelled_is_followed_by_a_zero() -> None:
         assert here.made.speeds()[-1] == 0.0
 
 
+# -- programs that hang -----------------------------------------------------------------------------------------------
+
+IDLE = "the program made no call for 10"
+
+
+def ends_of_drives(here: World) -> list[object]:
+    """Reasons of the stops of the robot, from now on."""
+    reasons: list[object] = []
+
+    def note(event: RobotEvent) -> None:
+        if event.kind is EventKind.STOPPED and event.robot == ROBOT:
+            reasons.append(event.facts["reason"])
+
+    here.made.hub.events.observe("test", note)
+    return reasons
+
+
+async def read_for_ever(here: World) -> None:
+    """Another task of the program reads all the time."""
+    while True:
+        await here.robot.state()
+        await asyncio.sleep(0.1)
+
+
+@pytest.mark.parametrize("has_reader", [False, True])
+@virtual
+async def test_robot_of_a_program_that_makes_no_call_for_ten_seconds_stops_and_the_log_says_why(
+    has_reader: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with world() as here, asyncio.TaskGroup() as tasks:
+        reading = tasks.create_task(read_for_ever(here)) if has_reader else None
+        reasons = ends_of_drives(here)
+        await here.robot.drive(0.2, 0.0)
+        await asyncio.sleep(9.9)
+        assert here.gate.current == PlanarVelocity(0.2)
+        await asyncio.sleep(0.4)
+        assert here.gate.current.is_zero
+        assert here.made.speeds()[-1] == 0.0
+        await asyncio.sleep(2 * LEASE_S)
+        assert [str(each).startswith(IDLE) for each in reasons] == [True]
+        assert caplog.messages[0].startswith(f"robot_0 stopped: {IDLE}")
+        assert "keep=True" in await here.refused()
+        await here.robot.drive(0.2, 0.0)
+        if reading is not None:
+            reading.cancel()
+
+
+async def heard(here: World) -> None:
+    """The program reads a message of another one."""
+    async with here.me.subscribe("/lamp", type_name="std_msgs/Bool") as lamps:
+        await here.other.publish("/lamp", {"data": True})
+        await anext(lamps)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda here: here.robot.state(),
+        lambda here: here.me.topics(),
+        lambda here: here.me.publish("/lamp", {"data": True}, type_name="std_msgs/Bool"),
+        heard,
+    ],
+    ids=["state", "topics", "publish", "subscribe"],
+)
+@virtual
+async def test_robot_of_a_program_that_calls_is_driven_on(call: Callable[[World], Awaitable[object]]) -> None:
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0)
+        for _ in range(4):
+            await asyncio.sleep(7.0)
+            await call(here)
+        assert here.gate.current == PlanarVelocity(0.2)
+
+
+@virtual
+async def test_call_that_waits_does_not_count() -> None:
+    async with world() as here, here.me.subscribe("/nothing", type_name="std_msgs/Bool") as messages:
+        await here.robot.drive(0.2, 0.0)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(12.0):
+                await anext(messages)
+        assert here.gate.current.is_zero
+
+
+@virtual
+async def test_velocity_that_is_kept_and_a_motion_need_no_call() -> None:
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0, keep=True)
+        await asyncio.sleep(60.0)
+        assert here.gate.current == PlanarVelocity(0.2)
+        assert (await here.robot.drive(0.1, 0.0, for_s=15.0)).is_reached
+
+
+@virtual
+async def test_calls_of_other_tasks_count_when_the_task_that_drove_has_ended() -> None:
+    """asyncio.gather makes a task for each robot."""
+    async with world() as here:
+        await asyncio.gather(here.robot.drive(0.2, 0.0))  # noqa: TID251 - as users do
+        for _ in range(4):
+            await asyncio.sleep(7.0)
+            await here.robot.state()
+        assert here.gate.current == PlanarVelocity(0.2)
+        await asyncio.sleep(11.0)
+        assert here.gate.current.is_zero
+
+
 # -- single commands --------------------------------------------------------------------------------------------------
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from hostlink.diagnosis.evidence import Complaint, EarlierLink, Evidence, Tally
+from hostlink.diagnosis.evidence import Complaint, EarlierLink, Evidence, PortSharing, Tally
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.rules import diagnose
 from hostlink.protocol.frame import Id, encode
@@ -38,7 +38,29 @@ def lives(count: int, *, seconds: float = 3.0, was_negotiated: bool = True) -> t
     return (EarlierLink("peer_closed", seconds, was_negotiated),) * count
 
 
+SKIPPED = Tally(bytes_from_device=3000, frames=60, skipped_bytes=900, bad_checksums=9)
+CAT = ("cat (pid 12)",)
+
 CASES = [
+    (
+        "serial_shared",
+        replace(HEALTHY, sharing=PortSharing(CAT, lost_reads=3)),
+        "cat (pid 12); 3 reads were lost to it",
+    ),
+    (
+        "serial_shared",
+        replace(HEALTHY, sharing=PortSharing(lost_reads=1)),
+        "a program that this user cannot see; 1 reads were lost to it",
+    ),
+    ("serial_shared", replace(HEALTHY, sharing=PortSharing(("agetty (pid 9)",), has_login=True)), "agetty (pid 9)"),
+    (
+        "serial_shared",
+        replace(HEALTHY, sharing=PortSharing(CAT, has_changed_settings=True)),
+        "cat (pid 12); it changed the port's settings",
+    ),
+    # what the other program leaves looks like another baud rate or damage
+    ("serial_shared", replace(HEALTHY, recent=SKIPPED, sharing=PortSharing(CAT)), "cat (pid 12)"),
+    ("serial_shared", replace(non_rosserial(SLOW), baud=115200, sharing=PortSharing(CAT)), "cat (pid 12)"),
     ("no_bytes", replace(NEW, age_s=5.0), "5 s"),
     ("no_topics", replace(NEW, total=GOOD, recent=GOOD), "3 topic requests, 100 frames"),
     ("protocol_1", replace(non_rosserial(b"\xff\xff" * 40), is_protocol_1=True), ""),

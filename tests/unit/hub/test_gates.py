@@ -10,8 +10,8 @@ from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused, DeviceGone, FrameTooLarge, HostlinkError, RefusalKind
 from hostlink.hub.gates import FEED_INTERVAL_S, MAX_GUARDED, Refusals, is_velocity
 from hostlink.hub.node import Node
-from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.protocol.frame import Id
+from hostlink.hub.robot_events import LEASE_ENDED, LET_GO, NOT_TAKEN, OTHER_TOPICS, EventKind, RobotEvent
+from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 from tests.support.compiled_modules import replaces_a_method
@@ -163,6 +163,7 @@ def test_stop_of_all_reaches_each_robot_although_one_refuses_the_zero() -> None:
             raise refusal
 
         first.link.session.publish = refuse  # type: ignore[method-assign]
+        first.link.session.send_zero = lambda *_, **__: False  # type: ignore[method-assign]
         other.heard.clear()
         with pytest.raises(FrameTooLarge):
             made.hub.robots.stop_all()
@@ -222,14 +223,16 @@ def test_command_that_does_not_fit_the_device_ends_the_drive_of_its_source() -> 
             raise FrameTooLarge("/robot_0/velocity_commands", 56, 40)
 
         device.link.session.publish = refuse  # type: ignore[method-assign]
+        device.link.session.send_zero = lambda *_, **__: False  # type: ignore[method-assign]
         with pytest.raises(FrameTooLarge):
             drive_gate(made.robot(), FAST, owner="ann")
         assert made.robot().gate.owner is None
-        assert [each.kind for each in events] == [EventKind.REFUSED]
+        assert [each.kind for each in events] == [EventKind.STOPPED, EventKind.REFUSED]
+        assert (events[0].facts["owner"], events[0].facts["reason"]) == ("ann", NOT_TAKEN)
         assert made.robot().refusals.count == 1
         with pytest.raises(HostlinkError):
             drive_gate(made.robot(), ZERO, owner="ann")
-        assert len(events) == 1  # a refused zero is not recorded
+        assert len(events) == 2  # a refused zero is not recorded
 
     in_hub(test)
 
@@ -292,12 +295,15 @@ def test_guard_is_told_of_every_velocity_topic_of_other_ids_and_larger_frames_un
         device.infos = [odometry, velocity._replace(topic_id=104), reset._replace(buffer_bytes=2048)]
         await device.announce()
         await asyncio.sleep(0.1)
+        assert made.guard.watched[number] == ([104, 100, 107], 2048)  # the announcement may be damaged
+        await asyncio.sleep(2.0)
         assert made.guard.watched[number] == ([104], 2048)
-        released = len(made.guard.released)
         device.infos = [odometry._replace(name="/robot_0/map")]
         await device.announce()
         await asyncio.sleep(0.1)
-        assert len(made.guard.released) == released + 1
+        assert made.guard.watched[number] == ([104], 512)
+        await asyncio.sleep(2.0)
+        assert number not in made.guard.watched
 
     in_hub(test)
 
@@ -484,7 +490,7 @@ def test_gates_without_events_keep_their_own() -> None:
 def test_link_ends_with_one_zero_for_each_velocity_topic_also_after_another_announcement() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()
-        zero = device.link.session.frame_to("/robot_0/velocity_commands", ZERO.encode())
+        zero = encode(100, ZERO.encode())
         assert device.link.last_frame == zero
         device.infos.append(topic(Id.PUBLISHER, 200, "/extra", "std_msgs/Bool"))
         await device.announce()
@@ -493,7 +499,48 @@ def test_link_ends_with_one_zero_for_each_velocity_topic_also_after_another_anno
         device.infos.append(topic(Id.SUBSCRIBER, 201, "/robot_0/cmd_vel", "geometry_msgs/Twist"))
         await device.announce()
         await asyncio.sleep(1.5)
-        other = device.link.session.frame_to("/robot_0/cmd_vel", ZERO.encode())
+        other = encode(201, ZERO.encode())
         assert device.link.last_frame in (zero + other, other + zero)
+
+    in_hub(test)
+
+
+@pytest.mark.parametrize(
+    ("owner", "velocity", "reason"),
+    [("ann", ZERO, LET_GO), ("bob", ZERO, LEASE_ENDED), ("bob", SLOW, LEASE_ENDED), ("ann", SLOW, LEASE_ENDED)],
+)
+def test_drive_whose_lease_ends_as_a_command_arrives_is_reported_once(
+    owner: str, velocity: PlanarVelocity, reason: str
+) -> None:
+    """The command notices the end of the lease before the clock of the gates does."""
+
+    async def test(made: MemoryHub) -> None:
+        await made.connect()
+        await asyncio.sleep(1.0)
+        drive_gate(made.robot(), FAST, owner="ann")
+        events = events_of(made)
+        await asyncio.sleep(LEASE_S - 0.001)
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.burn(0.002)
+        drive_gate(made.robot(), velocity, owner=owner)
+        await asyncio.sleep(0.2)
+        found = [(each.facts["owner"], each.facts["reason"]) for each in events if each.kind is EventKind.STOPPED]
+        assert found == [("ann", reason)]
+
+    in_hub(test)
+
+
+def test_drive_ends_when_the_device_announces_other_topics() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        await asyncio.sleep(1.0)
+        drive_gate(made.robot(), SLOW, owner="ann")
+        events = events_of(made)
+        device.infos.append(topic(Id.PUBLISHER, 126, "/extra", "std_msgs/Bool"))
+        await device.announce()
+        await asyncio.sleep(0.05)
+        stops = [each.facts for each in events if each.kind is EventKind.STOPPED]
+        assert [(each["owner"], each["reason"]) for each in stops] == [("ann", OTHER_TOPICS)]
 
     in_hub(test)

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections import Counter
 
 import pytest
 from hypothesis import given
@@ -41,6 +42,38 @@ def test_a_new_topic_makes_room_in_the_longest() -> None:
     popped = drain(queue)
     assert popped[0] == b"1"
     assert popped[-1] == b"new"
+
+
+def test_a_rare_topic_beside_one_that_floods_reaches_a_slow_reader_soon_and_whole() -> None:
+    """1,500 messages a second and 5 a second, to a client that reads 50."""
+    now_s, late_s, queue = 0.0, list[float](), Queue[bytes](len, lambda: now_s)
+    dropped = Counter[str]()
+    queue.on_dropped = lambda topic: dropped.update((topic,))
+    for number in range(1500 * 20):
+        now_s = number / 1500
+        queue.put_message("/flood", b"f")
+        if number % 300 == 0:
+            queue.put_message("/state", b"s")
+        if number % 30 == 0 and (waiting := queue.pop()) is not None and waiting.item == b"s":
+            late_s.append(now_s - waiting.since_s)
+    assert dropped.keys() == {"/flood"}
+    assert dropped.total() == queue.dropped
+    assert len(late_s) >= 100 - 5
+    assert max(late_s) < 1.0
+
+
+def test_a_large_message_takes_the_place_of_what_has_most_bytes() -> None:
+    queue = made()
+    small, large = MAX_BYTES // 16, MAX_BYTES // 3
+    queue.put_message("/state", b"state")
+    for _ in range(3):
+        queue.put_message("/small", bytes(small))
+        queue.put_message("/image", bytes(large))
+    assert [len(data) for data in drain(queue)] == [5, small, small, large, small, large]
+    queue.put_message("/image", bytes(2 * large))
+    for _ in range(8):
+        queue.put_message("/small", bytes(small))
+    assert [len(data) for data in drain(queue)] == [2 * large, *[small] * 5]  # not the only image
 
 
 def test_bytes_are_bounded_too() -> None:

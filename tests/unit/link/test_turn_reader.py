@@ -13,7 +13,7 @@ class FakeSource:
 
     def __init__(self, share: FairShare, *, piece_bytes: int, cost_s: float, log: list[str], name: str = "") -> None:
         self.unread_bytes = 0
-        self.is_ended = False
+        self.is_ended = self.is_behind = False
         self.turns = Turns(share)
         self.reader = self.turns.reader(self, self.read, lambda: log.append(f"{name} end"))
         self.cost_s = cost_s

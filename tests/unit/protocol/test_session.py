@@ -330,7 +330,7 @@ def test_protocol_1_is_recognised_once() -> None:
 def test_frame_that_stalls_is_given_up() -> None:
     host = Host(ODOMETRY)
     host.receive(b"\xff\xfe\x18\x00\xe7\x7d\x00half")
-    host.wait(2.5)
+    host.wait(11.5)
     assert host.session.counts.skipped_bytes == 11
     assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
 
@@ -393,12 +393,44 @@ def test_longest_frame_to_the_device_is_its_largest_buffer() -> None:
     assert host.session.longest_to_device_bytes == LED.buffer_bytes
 
 
-def test_last_frame_is_dropped_when_its_id_has_a_new_meaning() -> None:
+def test_zero_is_sent_to_an_endpoint_unless_its_id_has_another_name_and_type() -> None:
     host = Host(LED)
-    host.session.send_last(encode(LED.topic_id, b"\x01"))
+    for info in (LED, LED._replace(md5="n"), LED._replace(buffer_bytes=1), LED._replace(topic_id=116)):
+        assert host.session.send_zero(info, b"\0")
+        assert host.sent() == [Frame(info.topic_id, b"\0")]
+    for info in (LED._replace(name="/lid"), LED._replace(type="std_msgs/Bowl")):
+        assert host.session.may_have(info)
+    other = LED._replace(name="/lid", type="std_msgs/Bowl")
+    assert not host.session.may_have(other)
+    assert not host.session.send_zero(other, b"\0")
     assert host.sent() == []
-    host.session.send_last(encode(LED.topic_id + 1, b"\x01"))
-    assert host.sent() == [Frame(LED.topic_id + 1, b"\x01")]
+
+
+@pytest.mark.parametrize(
+    "altered",
+    [LED._replace(md5="wrong"), LED._replace(md5="n"), LED._replace(buffer_bytes=8), LED._replace(name="/lid")],
+)
+def test_id_with_another_meaning_causes_a_topic_request(altered: TopicInfo) -> None:
+    host = Host(ODOMETRY, LED)
+    host.wait(1.5)
+    host.receive(wire(ODOMETRY, altered) + TIME)
+    assert host.requests() == ["altered"]
+    host.wait(1.5)
+    host.receive(wire(ODOMETRY, LED) + TIME)  # altered again
+    assert host.requests() == ["altered"]
+    host.wait(1.5)
+    host.receive(wire(ODOMETRY, LED) + TIME)
+    assert host.requests() == []
+
+
+def test_device_that_announces_something_else_each_time_is_asked_three_times() -> None:
+    host = Host(ODOMETRY, LED)
+    found: list[str] = []
+    for number in range(8):
+        host.wait(1.5)
+        host.receive(wire(ODOMETRY, LED._replace(name=f"/led{number}")) + TIME)
+        found += host.requests()
+    assert found == ["altered"] * MAX_SAME_REQUESTS
 
 
 def test_each_frame_to_the_device_is_counted_with_its_bytes() -> None:
@@ -421,11 +453,14 @@ def test_answer_time_starts_with_the_topic_request() -> None:
     assert host.session.device_clock.answer_s == pytest.approx(0.2)
 
 
-def test_topic_to_the_device_has_its_id() -> None:
-    host = Host(LED)
-    assert host.session.topic_id("/led") == LED.topic_id
+def test_endpoint_of_a_topic_takes_the_message() -> None:
+    host = Host(LED, TEXT)
+    assert host.session.endpoint_of("/led", b"\x01") == LED
+    assert host.sent() == []
     with pytest.raises(UnknownTopic):
-        host.session.topic_id("/nope")
+        host.session.endpoint_of("/nope", b"")
+    with pytest.raises(FrameTooLarge):
+        host.session.endpoint_of("/text", bytes(57))
 
 
 def test_waiting_time_is_reported_before_and_after_sending() -> None:
@@ -442,11 +477,32 @@ def test_waiting_time_is_reported_before_and_after_sending() -> None:
     assert host.session.outbox.slowest_wait_s == pytest.approx(0.25)
 
 
-def test_frame_to_returns_the_frame_that_publish_queues() -> None:
-    host = Host(LED)
-    frame = host.session.frame_to("/led", b"\x01")
-    assert host.sent() == []
-    host.session.publish("/led", b"\x01")
-    outgoing = host.session.pop_frame(now_s=host.now_s, wall_ns=0)
-    assert outgoing is not None
-    assert outgoing.frame == frame
+def test_one_id_may_be_that_of_a_publisher_and_of_a_subscriber() -> None:
+    """Ids are per direction: nnarain/rosserial-rs numbers both from 125."""
+    led = LED._replace(topic_id=ODOMETRY.topic_id)
+    for infos in ((ODOMETRY, led), (led, ODOMETRY)):
+        host = Host(*infos)
+        assert host.session.topics == (led, ODOMETRY)
+        assert host.session.refusals == ()
+        assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
+        assert host.receive(encode(125, bytes(23))) == []
+        assert host.session.rejected == {"wrong_size": 1}
+        host.session.publish("/led", b"\x01")
+        assert host.sent() == [Frame(125, b"\x01")]
+        with pytest.raises(WrongType):
+            host.session.publish("/led", bytes(24))
+
+
+def test_refused_subscriber_leaves_the_publisher_of_its_id() -> None:
+    host = Host(ODOMETRY, LED._replace(topic_id=ODOMETRY.topic_id, md5="wrong"))
+    assert host.session.topics == (ODOMETRY,)
+    assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
+    with pytest.raises(WrongType):
+        host.session.publish("/led", b"\x01")
+
+
+def test_frame_from_the_device_with_the_id_of_a_subscriber_is_refused_and_causes_no_request() -> None:
+    host = Host(ODOMETRY, LED)
+    host.receive(encode(LED.topic_id, b"\x01"))
+    assert (host.session.counts.refused_frames, host.session.counts.unknown_ids) == (1, 0)
+    assert host.requests() == []

@@ -62,7 +62,8 @@ def test_line_after_a_cut_one_is_read(tmp_path: Path) -> None:
 
 
 def test_file_over_its_bound_is_followed_by_a_new_one_and_kept(tmp_path: Path) -> None:
-    append_drives(tmp_path, [drive(1)])
+    owner = "a" * 400_000
+    append_drives(tmp_path, [drive(1, owner=owner), drive(1, owner=f"{owner}b")])
     with (tmp_path / NAME).open("ab") as file:
         file.write(b"\n" * (MAX_FILE_BYTES - file.tell()))
     append_drives(tmp_path, [drive(2)])
@@ -70,7 +71,16 @@ def test_file_over_its_bound_is_followed_by_a_new_one_and_kept(tmp_path: Path) -
     append_drives(tmp_path, [drive(3)])
     assert (tmp_path / NAME_BEFORE).exists()
     assert (tmp_path / NAME).read_bytes().count(b"\n") == 1
-    assert begins(tmp_path) == [1, 2, 3]
+    assert begins(tmp_path) == [1, 1, 2, 3]
+
+
+def test_file_over_its_bound_that_has_many_lines_of_each_drive_is_shortened(tmp_path: Path) -> None:
+    long = "e" * 1000
+    append_drives(tmp_path, [drive(2, end=long), *[drive(1, end=long)] * 1100])
+    append_drives(tmp_path, [drive(3)])
+    assert not (tmp_path / NAME_BEFORE).exists()
+    assert (tmp_path / NAME).read_bytes().count(b"\n") == 3
+    assert begins(tmp_path) == [2, 1, 3]
 
 
 def test_newest_drives_alone_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

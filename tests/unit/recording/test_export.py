@@ -80,6 +80,25 @@ def test_csv_has_a_table_a_topic_with_its_fields_as_columns(recording: Path, tmp
     assert (odom["pose.pose.position.x"], odom["pose.covariance[35]"]) == ("1.5", "0.25")
 
 
+def test_csv_has_no_formula_and_no_escape_code_of_a_device(tmp_path: Path, catalog: Catalog) -> None:
+    path, type_ = tmp_path / "run.mcap", catalog.message("my_msgs/Wheel")
+    writer = McapWriter(path, metadata={})
+    channel = ros_channel("/wheel", "my_msgs/Wheel", type_, is_latched=False)
+    formulas = ['=HYPERLINK("http://x","y")', "+1", "-2", "@SUM(1)", "\n =1"]
+    for name in (*formulas, "\t=1", "\x1b[31mred\x1b[0m", "\u202eabc", "left, right"):
+        writer.write(channel, BEGIN_NS, type_.encode({"name": name, "pose": {"x": -3.0}}))
+    writer.write(EVENTS, BEGIN_NS, as_text(b'{"=1+1": "a\\nb"}'))
+    writer.close()
+    export_csv(McapReader(path), tmp_path / "out")
+    rows = table(tmp_path / "out" / "wheel.csv")
+    safe = [f"'{each}" for each in formulas]
+    escaped = ["\\t=1", "\\u001b[31mred\\u001b[0m", "\\u202eabc", "left, right"]
+    assert [row["name"] for row in rows] == [*safe, *escaped]
+    assert {row["pose.x"] for row in rows} == {"-3.0"}
+    (event,) = table(tmp_path / "out" / "hostlink.events.csv")
+    assert event["'=1+1"] == "a\nb"
+
+
 def test_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None:
     done = export_ros(McapReader(recording), tmp_path / "run.bag", RosFormat.ROS1, skips_unknown=True)
     before = {(message.channel.topic, message.payload) for message in McapReader(recording).messages()}

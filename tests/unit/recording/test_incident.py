@@ -38,6 +38,14 @@ def test_leaving_driver_is_not_an_incident() -> None:
     assert causes(commanded(FAST), stopped("owner left"), stopped("no command came")) == []
 
 
+def test_robot_that_a_silent_program_drove_is_an_incident() -> None:
+    rules = IncidentRules()
+    rules.observe(commanded(FAST))
+    found = rules.observe(stopped("the program made no call for 10.1 s"))
+    assert found is not None
+    assert (found.cause, found.detail) == ("lease", "pilot stopped it: the program made no call for 10.1 s")
+
+
 @pytest.mark.parametrize(
     ("happened", "cause"),
     [

@@ -309,3 +309,17 @@ def test_end_of_a_file_that_is_cut_is_another_damage_than_a_wrong_one(
     assert list(reader.messages()) == messages
     assert len(reader.damage) == (damage is not None)
     assert damage is None or damage in reader.damage[0]
+
+
+def test_repair_of_a_file_without_a_readable_message_is_refused_and_changes_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writer = McapWriter(path, metadata={"robot": "robot_0"})
+    writer.close()
+    path.write_bytes(path.read_bytes()[:100])
+    before = path.read_bytes()
+    with pytest.raises(
+        RecordingFailed, match="has no readable message, and was not changed: the file was not finished"
+    ):
+        repair(path)
+    assert path.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"]

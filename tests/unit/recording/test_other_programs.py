@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer as McapLibraryWriter
 from mcap_ros1.decoder import DecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 from rosbags.rosbag1 import Reader as Ros1Reader
@@ -33,6 +34,7 @@ from tests.support.foreign_recordings import (
     ROS1,
     ROS2,
     SEPARATOR,
+    TEXT,
     mcap_file,
     odometry,
     ros1_bag,
@@ -257,3 +259,57 @@ def test_failed_export_leaves_no_files(tmp_path: Path) -> None:
         with pytest.raises(HostlinkError, match="the disk is gone"):
             export()
         assert not target.exists()
+
+
+TIMES = [3, 1, 1, 9, 7, 8, 2, 2, 20, 19, 18, 30, 0, 31, 32]
+
+
+def unsorted(path: Path, *, uses_chunking: bool = True, is_cut: bool = False) -> Path:
+    """Write messages that are not in the order of time, a few in a chunk, as programs do that merge recordings."""
+    with path.open("wb") as file:
+        writer = McapLibraryWriter(file, chunk_size=250, use_chunking=uses_chunking)
+        writer.start("", library="theirs")
+        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
+        channel = writer.register_channel("/text", "ros1", schema)
+        for number, second in enumerate(TIMES):
+            at_ns = BEGIN_NS + second * 1_000_000_000
+            writer.add_message(channel, at_ns, as_text(b"%d" % number), at_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+    if is_cut:
+        whole = path.read_bytes()
+        path.write_bytes(whole[: whole.rindex(b"\x0f\x04")])  # before the end of the data
+    return path
+
+
+@pytest.mark.parametrize("is_cut", [False, True], ids=["with an index", "cut"])
+@pytest.mark.parametrize("uses_chunking", [True, False], ids=["chunks", "no chunks"])
+def test_messages_of_a_file_that_is_not_in_the_order_of_time_are_sorted(
+    tmp_path: Path, uses_chunking: bool, is_cut: bool
+) -> None:
+    source = open_source(unsorted(tmp_path / "run.mcap", uses_chunking=uses_chunking, is_cut=is_cut))
+    found = [(message.stamp_ns, int(message.payload[4:])) for message in source.messages()]
+    assert found == [(BEGIN_NS + TIMES[number] * 10**9, number) for number in sorted(range(15), key=TIMES.__getitem__)]
+    assert source.damage == (["the file was not finished"] if is_cut else [])
+    export_csv(source, tmp_path / "csv")
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "csv" / "text.csv").read_text())))
+    assert [float(row["time_s"]) - BEGIN_NS / 1e9 for row in rows] == sorted(TIMES)
+
+
+def test_file_that_is_too_mixed_up_to_be_sorted_is_sorted_in_part_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hostlink.recording.reader.MAX_WAITING_BYTES", 2 * 210)
+    source = open_source(unsorted(tmp_path / "run.mcap"))
+    found = [int(message.payload[4:]) for message in source.messages()]
+    assert sorted(found) == list(range(15))
+    assert source.damage == ["its messages are too mixed up to be sorted by time; they are sorted in part"]
+
+
+def test_topic_of_the_tools_of_ros_2_does_not_stop_an_export_unless_it_is_named(tmp_path: Path) -> None:
+    """Bags of old distributions have it without a definition, or in another encoding."""
+    odd = ("/parameter_events", "", "rcl_interfaces/msg/ParameterEvent", "", b"", b"\1")
+    path = mcap_file(tmp_path / "run.mcap", odd, TEXT)
+    done, lines = export_csv(open_source(path), tmp_path / "csv")
+    assert (lines, list(done.left_out)) == ({"text.csv": 1}, ["/parameter_events"])
+    with pytest.raises(UnknownFormat, match="/parameter_events"):
+        export_csv(open_source(path), tmp_path / "other", topics=["/parameter_events"])

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from hostlink.errors import BadPayload
 from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, VELOCITY, Channel, ros_channel
-from hostlink.recording.playing import drives, robots_of, schedule
+from hostlink.recording.playing import DueVelocity, NewestDue, drives, robots_of, schedule
 from hostlink.recording.reader import StoredMessage
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity, Twist
 
@@ -72,3 +72,27 @@ def test_velocity_with_components_that_no_robot_has_is_refused() -> None:
     stored = [StoredMessage(velocity, 0, Twist(0.2, angular_x_rad_s=0.1).encode(), 0)]
     with pytest.raises(BadPayload, match="a robot moves in the plane"):
         list(drives(schedule(stored), "a", "/cmd_vel"))
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from([0.0, 0.0, 0.05, 0.3, 2.0]), st.sampled_from([0.0, 0.2, -0.2])), max_size=40),
+    st.sampled_from([0.0, 0.01, 0.4]),
+)
+def test_overdue_velocity_is_replaced_by_a_newer_one_and_no_zero_is_left_out(
+    recorded: list[tuple[float, float]], answer_s: float
+) -> None:
+    """`recorded`: pauses and speeds. Each sent velocity is answered after `answer_s`."""
+    at_s, wanted = 0.0, list[DueVelocity]()
+    for pause_s, speed_m_s in recorded:
+        at_s += pause_s
+        wanted.append(DueVelocity(at_s, PlanarVelocity(speed_m_s)))
+    clock, newest, sent = [0.0], NewestDue(), list[DueVelocity]()
+    for due in newest.of(wanted, lambda: clock[0]):
+        now_s = max(clock[0], due.at_s)
+        position = next(number for number, each in enumerate(wanted) if each is due)
+        assert due.velocity.is_zero or all(each.at_s >= now_s for each in wanted[position + 1 :])
+        sent.append(due)
+        clock[0] = now_s + answer_s
+    assert len(sent) + newest.left_out == len(wanted)
+    assert [each for each in sent if each.velocity.is_zero] == [each for each in wanted if each.velocity.is_zero]
+    assert not wanted or sent[-1] is wanted[-1]

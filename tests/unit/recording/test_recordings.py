@@ -10,16 +10,19 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.api.recordings import recording_view
 from hostlink.config import Config, RecordingConfig
 from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
+from hostlink.hub.robot_events import EventKind
 from hostlink.recording import recordings as module
 from hostlink.recording.channel import EVENTS
-from hostlink.recording.drives import Drive, DriveLog, append_drives, read_drives
+from hostlink.recording.drives import DIED, Drive, DriveLog, append_drives, read_drives
 from hostlink.recording.mcap_writer import FileThread
 from hostlink.recording.reader import McapReader
 from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recordings
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.waiting import expect
 
@@ -122,6 +125,68 @@ async def test_file_that_is_written_is_not_removed_and_an_ended_one_is(tmp_path:
         assert not (tmp_path / "run.mcap").exists()
         with pytest.raises(UnknownTopic):
             await recordings.remove("run.mcap")
+
+
+async def test_second_daemon_of_a_folder_changes_nothing_in_it_and_says_whose_it_is(tmp_path: Path) -> None:
+    async with running(tmp_path) as (hub, recordings):
+        program = hub.join("program")
+        program.advertise("/door", BOOL)
+        await recordings.start(ALL, name="run")
+        async with running(tmp_path, max_disk_mb=1e-9) as (_, second):
+            taken = f"{tmp_path} belongs to the daemon with process id "
+            with pytest.raises(RecordingBusy, match=taken):
+                await second.start(ALL, name="other")
+            with pytest.raises(RecordingBusy, match=taken):
+                await second.remove("run")
+            with pytest.raises(RecordingBusy, match=taken):
+                await second.store("other", 0, pieces())
+            with capture_logs() as logs:
+                await second.drives._keep([DRIVE])
+                with pytest.raises(OSError, match=taken):
+                    second.black_box.folder.make_room(())
+            assert [(line["event"], line["reason"].startswith(taken)) for line in logs] == [("drives.lost", True)]
+        program.publish("/door", b"\0")
+        view = await recordings.stop("run")
+        assert [each.name for each in view.thread.paths] == ["run.mcap"]
+        assert any(McapReader(tmp_path / "run.mcap").messages(lambda c: c.topic == "/door"))
+    async with running(tmp_path) as (_, later):
+        await later.start(ALL, name="later")
+
+
+async def pieces() -> AsyncIterator[bytes]:
+    yield b""
+
+
+async def test_removed_file_of_a_recording_is_told_and_its_messages_are_counted(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    async with running(folder) as (hub, recordings):
+        program = hub.join("program")
+        program.advertise("/door", BOOL)
+        recording = await recordings.start(ALL, name="run")
+        program.publish("/door", b"\0")
+        await expect(lambda: recording.thread.messages > 0)
+        with capture_logs() as logs:
+            shutil.rmtree(folder)
+            await expect(lambda: recording.removed)
+            program.publish("/door", b"\1")
+            await recordings.stop("run")
+        removed = [line for line in logs if line["event"] == "recording.file_removed"]
+        assert [(line["file"], line["lost"] > 0) for line in removed] == [(str(folder / "run.mcap"), True)]
+        assert recording.thread.dropped == recording.thread.lost == removed[0]["lost"]
+        view = recording_view(recording)
+        assert (view["files"], view["removed"]) == (["run_2.mcap"], ["run.mcap"])
+        stored = list(McapReader(folder / "run_2.mcap").messages())
+        assert view["messages"] == len(stored)
+        assert [each.payload for each in stored if each.channel.topic == "/door"] == [b"\1"]
+
+
+async def test_file_that_is_removed_just_before_the_end_is_told_too(tmp_path: Path) -> None:
+    async with running(tmp_path) as (_, recordings):
+        recording = await recordings.start(ALL, name="run")
+        (tmp_path / "run.mcap").unlink()
+        await recordings.stop("run")
+        await expect(lambda: recording.removed == ["run.mcap"])
+        assert recording_view(recording)["files"] == []
 
 
 async def test_folder_that_cannot_be_made_is_a_failure(tmp_path: Path) -> None:
@@ -261,3 +326,23 @@ async def test_kept_drives_are_in_the_file(tmp_path: Path) -> None:
         await made._keep([DRIVE])
         await made._keep([])
     assert read_drives(tmp_path) == [DRIVE]
+
+
+async def test_drive_is_in_the_file_with_its_end_as_soon_as_it_ends(tmp_path: Path) -> None:
+    """A killed daemon writes no more. A drive that continues after a pause has no end again."""
+    slow = PlanarVelocity(0.1)
+    facts: dict[str, object] = {"owner": "ann", "address": "", "priority": 50, "velocity": slow, "limited": slow}
+    async with drive_log(tmp_path) as made:
+        events = made._hub.events
+
+        def ends() -> list[tuple[str, int]]:
+            return [(each.end, each.commands) for each in read_drives(tmp_path)]
+
+        for _ in range(3):
+            events.note(EventKind.COMMANDED, "rover", **facts)
+        events.note(EventKind.STOPPED, "rover", reason="let go", owner="ann")
+        await expect(lambda: ends() == [("let go", 3)])
+        events.note(EventKind.COMMANDED, "rover", **facts)
+        await expect(lambda: ends() == [(DIED, 4)])
+        events.note(EventKind.STOPPED, "rover", reason="let go", owner="ann")
+        await expect(lambda: ends() == [("let go", 4)])

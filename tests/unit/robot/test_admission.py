@@ -606,10 +606,11 @@ def test_sources_that_only_were_refused_are_as_important_as_they_said(robot: Tim
     assert robot.command(source="ann").kind is RefusalKind.CROWDED
 
 
-def test_source_that_gave_a_zero_holds_the_robot_in_a_crowd_too(robot: Timeline) -> None:
+def test_source_that_gave_a_zero_gives_its_record_to_another_in_a_crowd(robot: Timeline) -> None:
     crowd(robot, priority=60)
-    assert robot.command(ZERO, source=f"{MAX_SOURCES - 1}").is_admitted
     assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    assert robot.command(ZERO, source=f"{MAX_SOURCES - 1}").is_admitted
+    assert robot.command(source="ann").kind is RefusalKind.HELD  # by the others
 
 
 def test_sources_that_let_go_after_a_stop_give_way(robot: Timeline) -> None:
@@ -635,6 +636,63 @@ def test_disarmed_source_is_never_forgotten_for_another(robot: Timeline) -> None
     robot.stop()
     assert robot.command(source="ann", priority=100).kind is RefusalKind.CROWDED
     assert robot.command(source="0").kind is RefusalKind.DISARMED
+
+
+def test_source_that_was_crowded_out_must_let_go_after_a_stop(robot: Timeline) -> None:
+    crowd(robot)
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    robot.wait(0.1)
+    robot.stop()
+    robot.wait(0.1)
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    robot.admission.withdraw("0")
+    robot.wait(LEASE_S - 0.01)
+    for _ in range(9):
+        assert robot.command(source="ann").kind is RefusalKind.DISARMED
+        robot.wait(0.1)
+    assert robot.command(ZERO, source="ann").is_admitted
+    assert robot.command(source="ann").is_admitted
+
+
+def test_source_whose_record_was_dropped_must_let_go_after_a_stop(robot: Timeline) -> None:
+    crowd(robot)
+    assert robot.command(source="ann", priority=60).is_admitted  # instead of "0"
+    robot.stop()
+    robot.admission.withdraw("1")
+    assert robot.command(source="0").kind is RefusalKind.DISARMED
+
+
+def test_source_without_a_record_drives_after_a_lease_without_a_crowd_or_with_the_epoch(robot: Timeline) -> None:
+    crowd(robot)
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    robot.stop()
+    robot.admission.withdraw("0")
+    robot.admission.withdraw("1")
+    assert robot.command(source="eve", epoch=robot.admission.epoch).is_admitted
+    robot.wait(LEASE_S)
+    assert robot.command(source="bob").is_admitted
+
+
+def test_source_that_was_crowded_out_drives_when_there_is_room_if_nothing_interrupted_it(robot: Timeline) -> None:
+    crowd(robot)
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    robot.wait(LEASE_S)
+    assert robot.command(source="ann").is_admitted
+
+
+def test_source_that_lost_its_device_gives_way_to_none(robot: Timeline) -> None:
+    crowd(robot)
+    robot.admission.disconnect(robot.now_s)
+    assert robot.command(source="ann", priority=60).kind is RefusalKind.CROWDED
+
+
+def test_source_whose_drives_are_ended_holds_no_robot_and_is_disarmed_by_a_stop(driven: Timeline) -> None:
+    driven.admission.end_drives("ann")
+    assert driven.driver() is None
+    assert not driven.admission.is_held(driven.now_s)
+    driven.stop()
+    assert driven.command().kind is RefusalKind.DISARMED
+    driven.admission.end_drives("nobody")
 
 
 def test_refusals_are_counted_by_kind(driven: Timeline) -> None:
@@ -795,3 +853,36 @@ def test_message_is_never_early(commands: list[tuple[float, float]]) -> None:
     for sent_s, wait_s in commands:
         now_s += wait_s
         assert freshness.late_s(sent_s, now_s) >= 0.0
+
+
+@pytest.mark.parametrize("waited_s", [0.0, 3.0])
+def test_zero_ends_the_hold_of_its_source(robot: Timeline, waited_s: float) -> None:
+    robot.command(source="person", priority=100)
+    robot.wait(0.1)
+    assert robot.command(source="program").kind is RefusalKind.HELD
+    robot.command(ZERO, source="person", priority=100, waited_s=waited_s)
+    assert robot.command(source="program").is_admitted
+    assert robot.driver() == "program"
+
+
+def test_zero_of_one_topic_ends_no_hold_by_another_topic_of_the_robot(robot: Timeline) -> None:
+    robot.command(source="person", priority=100, topic="cmd_vel")
+    robot.command(source="person", priority=100, topic="arm_vel")
+    robot.command(ZERO, source="person", priority=100, topic="arm_vel")
+    assert robot.command(source="program", topic="arm_vel").kind is RefusalKind.HELD
+    robot.command(ZERO, source="person", priority=100, topic="cmd_vel")
+    assert robot.command(source="program", topic="arm_vel").is_admitted
+
+
+def test_first_velocity_after_a_zero_with_the_time_of_its_sending_may_be_late(robot: Timeline) -> None:
+    robot.command(ZERO, sent_s=7.0)
+    robot.wait(2.0)
+    assert robot.command(sent_s=7.1).kind is RefusalKind.LATE
+    assert robot.command(sent_s=9.0).is_admitted
+
+
+def test_zeros_with_the_time_of_their_sending_leave_room_for_other_sources(robot: Timeline) -> None:
+    for number in range(2 * MAX_SOURCES):
+        robot.command(ZERO, source=f"client {number}", sent_s=7.0)
+    assert robot.command().is_admitted
+    assert not robot.command(ZERO, waited_s=1.0).kind

@@ -108,3 +108,50 @@ def test_course_settles_after_its_end_and_is_done_then() -> None:
     assert (follower.is_settling, follower.is_done) == (True, False)
     follower.update(Pose(0.1, 0.0, 0.0), 1.0 + SETTLE_S)
     assert (follower.is_settling, follower.is_done) == (False, True)
+
+
+def end_of_leg(leg: Leg, lag_s: float, phase_s: float, speed: Speed) -> float:
+    """Drive one leg with a robot that obeys each command `lag_s` later. Return its place at the end, m or rad."""
+    follower, at, step_s = CourseFollower((leg,), speed), 0.0, 0.01
+    commands, turn = [(0.0, 0.0)], 0
+    while not follower.is_done:
+        now_s = turn * step_s
+        if turn % 10 == round(phase_s / step_s):
+            pose = Pose(0.0, 0.0, math.remainder(at, math.tau)) if leg.turn_rad else Pose(at, 0.0, 0.0)
+            commands.append((now_s + lag_s, sum(follower.update(pose, now_s))))
+        at += [velocity for from_s, velocity in commands if from_s <= now_s][-1] * step_s
+        turn += 1
+        assert now_s < 60.0
+    return at
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.05, 0.12, 0.3])
+@pytest.mark.parametrize(
+    ("way", "speed", "most", "mean"),
+    [
+        (Leg(turn_rad=1.0), Speed(), 0.02, 0.006),
+        (Leg(turn_rad=-1.0), Speed(), 0.02, 0.006),
+        (Leg(forward_m=1.0), Speed(), 0.011, 0.005),
+        (Leg(forward_m=1.0), Speed(linear_m_s=0.04), 0.011, 0.005),
+    ],
+    ids=["left turn", "right turn", "line", "slow line"],
+)
+def test_robot_stops_as_often_before_the_end_as_behind_it(
+    lag_s: float, way: Leg, speed: Speed, most: float, mean: float
+) -> None:
+    errors = []
+    for size, phase_s in itertools.product((0.3, 0.31, 0.327, 0.5, 0.513, 1.0, 1.57), (0.0, 0.03, 0.07)):
+        leg = Leg(way.forward_m * size, way.turn_rad * size)
+        errors.append(end_of_leg(leg, lag_s, phase_s, speed) - leg.forward_m - leg.turn_rad)
+    assert max(map(abs, errors)) < most
+    assert abs(sum(errors) / len(errors)) < mean
+
+
+def test_robot_that_is_stuck_on_the_rest_of_a_leg_has_arrived() -> None:
+    follower, commands = CourseFollower(straight(0.3)), []
+    for turn in range(200):
+        x_m = 0.28 if follower.is_settling else min(0.02 * turn, 0.3)  # it slips back when it has arrived
+        commands.append(follower.update(Pose(x_m), 0.1 * turn))
+    assert (follower.is_done, follower.is_stuck) == (True, False)
+    assert commands[-1] == (0.0, 0.0)
+    assert sum(one == (0.0, 0.0) != other for one, other in itertools.pairwise(commands)) == 1  # it drove the rest once

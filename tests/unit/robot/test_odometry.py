@@ -1,6 +1,7 @@
 """OdometryEstimator: poses that come early, late, merged, after a reset, or broken."""
 
 import dataclasses
+import itertools
 import math
 
 import pytest
@@ -10,11 +11,13 @@ from hypothesis import strategies as st
 from hostlink.robot.kinematics import DifferentialDrive, Pose, wrap_angle
 from hostlink.robot.odometry import (
     CLOSEST_S,
+    LONGEST_S,
     SHAKE_M,
     SHAKE_RAD,
     WINDOW_S,
     OdometryEstimator,
     OdometrySnapshot,
+    SendTimes,
 )
 from hostlink.robot.velocity import PlanarVelocity
 
@@ -325,6 +328,69 @@ def test_shown_pose_jumps_only_at_a_reset(history: list[tuple[str, float, float]
         view.update(reported, now_s=now_s, wall_ns=0)
         assert shown(view)[:2] == pytest.approx(truth[:2], abs=1e-9)
         assert wrap_angle(shown(view).theta_rad - truth.theta_rad) == pytest.approx(0, abs=1e-9)
+
+
+# -- bunches ----------------------------------------------------------------------------------------------------------
+
+
+def bunched(sizes: list[int], *, apart_s: float = 0.00008) -> list[float]:
+    """Arrivals of poses that were sent every PERIOD_S and arrive in bunches of these sizes."""
+    times_s: list[float] = []
+    for size in sizes:
+        times_s += [(len(times_s) + size) * PERIOD_S + place * apart_s for place in range(size)]
+    return times_s
+
+
+@pytest.mark.parametrize("apart_s", [0.0, 0.00008, 0.001])
+@pytest.mark.parametrize("sizes", [[2] * 20, [3] * 15, [5] * 10, [3, 5, 2, 4, 6] * 3])
+def test_poses_that_arrive_in_bunches_have_the_right_velocity_and_stamps_apart(
+    sizes: list[int], apart_s: float
+) -> None:
+    view, speeds, rates, stamps_s = OdometryEstimator(), [], [], []
+    times_s = bunched(sizes, apart_s=apart_s)
+    settled = sum(sizes[:6])
+    for number, (pose, at_s) in enumerate(zip(arc(0.2, 0.5, len(times_s)), times_s, strict=True)):
+        view.update(pose, now_s=at_s, wall_ns=round(at_s * 1e9))
+        found = observed(view, at_s)
+        assert found.age_s == 0
+        if number > settled:
+            speeds.append(found.twist.x_m_s)
+            rates.append(found.rate_hz)
+            stamps_s.append(found.stamp_ns / 1e9)
+    exact = len(set(sizes)) == 1
+    assert speeds == pytest.approx([0.2] * len(speeds), rel=0.03 if exact else 0.25)
+    assert rates == pytest.approx([10.0] * len(rates), rel=0.03 if exact else 0.25)
+    gaps_s = [after - before for before, after in itertools.pairwise(stamps_s)]
+    assert min(gaps_s) > (0.09 if exact else 0.04)
+
+
+def test_pose_that_the_device_stamped_keeps_its_stamp_in_a_bunch() -> None:
+    view = OdometryEstimator()
+    times_s = bunched([3] * 8)
+    for number, (pose, at_s) in enumerate(zip(arc(0.2, 0.5, len(times_s)), times_s, strict=True)):
+        view.update(pose, now_s=at_s, wall_ns=number, is_stamped=True)
+        assert observed(view).stamp_ns == number
+
+
+@given(st.lists(st.tuples(st.integers(1, 4), st.floats(-0.02, 0.02)), min_size=3, max_size=40))
+def test_messages_that_arrive_one_by_one_were_sent_when_they_arrived(gaps: list[tuple[int, float]]) -> None:
+    """A device may leave some out."""
+    times = SendTimes()
+    for at_s in itertools.accumulate(0.1 * count + jitter_s for count, jitter_s in gaps):
+        assert times.add(at_s) == at_s
+
+
+@given(st.lists(st.tuples(st.integers(1, 9), st.floats(0.0, 3.0)), min_size=1, max_size=30))
+def test_message_is_sent_before_it_arrives_and_after_the_one_before(bunches: list[tuple[int, float]]) -> None:
+    times, now_s, last_s = SendTimes(), 0.0, -math.inf
+    for size, gap_s in bunches:
+        now_s += gap_s
+        for _ in range(size):
+            sent_s = times.add(now_s)
+            assert last_s <= sent_s <= now_s
+            assert sent_s >= now_s - LONGEST_S * 2
+            last_s = sent_s
+            now_s += 0.0001
 
 
 # -- stamps -----------------------------------------------------------------------------------------------------------

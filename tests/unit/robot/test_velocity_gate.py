@@ -6,7 +6,7 @@ import math
 import pytest
 
 from hostlink.errors import CommandRefused, ConfigError, RefusalKind
-from hostlink.robot.admission import Admission, Command
+from hostlink.robot.admission import LEASE_S, Admission, Command
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity, Twist
 from hostlink.robot.velocity_gate import GateCounts, Limits, Unlimited, VelocityGate
 from tests.support.gates import FORWARD, FREE, HEAVY, STOPPED, TURN, GateOfRobot, driven, gate, moving, outputs
@@ -312,3 +312,14 @@ def test_command_that_is_not_admitted_is_refused_with_its_kind_and_changes_nothi
         ours.drive("bob", TURN, priority=50, now_s=0.1)
     assert (refused.value.kind, refused.value.holder) == (RefusalKind.HELD, "ann")
     assert ours.step(0.1) == FORWARD
+
+
+@pytest.mark.parametrize("owner", ["ann", "bob"])
+@pytest.mark.parametrize("velocity", [ZERO, FORWARD])
+def test_command_after_a_lease_leaves_the_ended_lease_to_the_caller_once(owner: str, velocity: PlanarVelocity) -> None:
+    ours = driven()
+    ours.drive(owner, velocity, now_s=LEASE_S)
+    ended = ours.pop_ended()
+    assert ended is not None
+    assert (ended.lease.source, ended.was_let_go) == ("ann", owner == "ann" and velocity == ZERO)
+    assert ours.pop_ended() is None

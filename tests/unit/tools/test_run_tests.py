@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from tests import conftest
 from tests.support import requirements
 from tools import run_tests
 from tools.run_tests import Result
@@ -61,13 +62,18 @@ def test_missing_requirement_fails_the_run_in_ci_alone() -> None:
     assert [run_tests.exit_code([skipped, each], is_ci=True) for each in (skipped, missing, failed)] == [0, 1, 1]
 
 
-def test_groups_of_both_targets_take_every_test_once() -> None:
-    selections = {name: arguments for name, _, arguments in run_tests.groups(6, 3) + run_tests.long_groups(2)}
-    assert list(selections) == ["pure", "others", "quiet", "alone", "long", "long alone"]
+def test_groups_of_make_test_all_take_every_test_once() -> None:
+    selections = {name: arguments for name, _, arguments in run_tests.all_groups(6, 2)}
+    assert list(selections) == ["pure", "others", "programs", "quiet", "alone", "long", "long alone"]
+    programs = run_tests.starting_programs()
     for package in run_tests.PURE:
         assert f"tests/unit/{package}" in selections["pure"]
         assert f"--ignore=tests/unit/{package}" in selections["others"]
+    for file in programs:
+        assert file in selections["programs"]
+        assert f"--ignore={file}" in selections["others"]
     assert [selections[name][selections[name].index("-m") + 1] for name in list(selections)[1:]] == [
+        "not quiet and not alone and not long",
         "not quiet and not alone and not long",
         "quiet and not alone and not long",
         "alone and not long",
@@ -75,6 +81,23 @@ def test_groups_of_both_targets_take_every_test_once() -> None:
         "long and alone",
     ]
     assert "tests/system/test_chaos.py" in selections["long alone"]
+
+
+def test_tests_that_start_programs_have_no_more_workers_than_cores() -> None:
+    workers = {
+        name: int(arguments[arguments.index("--workers") + 1]) if "--workers" in arguments else 1
+        for name, _, arguments in run_tests.all_groups(8, 2)
+    }
+    assert workers == {"pure": 8, "others": 8, "programs": 2, "quiet": 2, "alone": 1, "long": 2, "long alone": 1}
+    programs = run_tests.starting_programs()
+    assert {"tests/integration/test_guardian.py", "tests/unit/tools/test_build_deb.py"} <= set(programs)
+    assert "tests/integration/test_admission_contract.py" not in programs
+
+
+def test_make_test_selects_quick_tests_without_requirements() -> None:
+    ((_, _, arguments),) = run_tests.python_groups(8)
+    assert "--python-only" in arguments
+    assert arguments[-3:] == list(run_tests.PYTHON_TESTS)
 
 
 @pytest.mark.parametrize("mark", ["quiet", "alone", "long"])
@@ -97,4 +120,33 @@ def test_requirement_that_is_missing_is_the_reason_for_its_tests_alone() -> None
 
 def test_requirement_names_tests_that_exist() -> None:
     patterns = [pattern for each in requirements.REQUIREMENTS for pattern in each.tests]
-    assert [pattern for pattern in patterns if not list(requirements.ROOT.glob(pattern))] == []
+    files, tests = [each.partition("::")[0] for each in patterns], [each for each in patterns if "::" in each]
+    assert [file for file in files if not list(requirements.ROOT.glob(file))] == []
+    for test in tests:
+        file, _, name = test.partition("::")
+        assert f"def {name.rstrip('*')}" in (requirements.ROOT / file).read_text(encoding="utf-8"), test
+
+
+def test_module_that_is_missing_is_the_reason_for_its_files_and_tests_alone() -> None:
+    absent = requirements.missing(lambda needed: needed != "import matplotlib")
+    assert list(requirements.reasons("tests/unit/cli/test_step.py::test_a_picture_is_drawn[.svg]", (), absent)) == [
+        "needs pip install -e '.[dev]'"
+    ]
+    assert list(requirements.reasons("tests/unit/cli/test_step.py", (), absent)) == []
+    assert requirements.is_present("import json")
+    assert not requirements.is_present("import no_module_of_this_name")
+
+
+def test_file_whose_module_is_missing_is_one_skipped_test(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = Path(__file__)
+    name = here.relative_to(requirements.ROOT).as_posix()
+    absent = [requirements.Requirement(("import no_module_of_this_name",), "pip install it", (name,))]
+    monkeypatch.setattr(requirements, "missing", lambda: absent)
+    folder = request.node.parent.parent
+    found = conftest.pytest_pycollect_makemodule(here, folder)
+    assert found is not None
+    (item,) = found.collect()
+    assert [mark.kwargs["reason"] for mark in item.iter_markers("skip")] == ["needs pip install it"]
+    assert conftest.pytest_pycollect_makemodule(here.parent / "test_release.py", folder) is None

@@ -1,6 +1,7 @@
 /** Asks the user for a token when the daemon requires one, with the reason. */
 
 import { find, setText } from "./dom";
+import { addCloser } from "./open";
 import { forPeople } from "./rest";
 import { keepToken } from "./token";
 
@@ -17,9 +18,14 @@ export class Access {
       this.panel.hidden = true;
       onToken();
     });
-    find("#access-close").addEventListener("click", () => {
-      this.panel.hidden = true;
-    });
+    find("#access-close").addEventListener("click", () => this.close());
+    addCloser(() => !find("#access-close").hidden && this.close());
+  }
+
+  private close(): boolean {
+    const isOpen = this.isShown;
+    this.panel.hidden = true;
+    return isOpen;
   }
 
   get isShown(): boolean {

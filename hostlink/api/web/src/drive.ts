@@ -2,10 +2,10 @@
 
 import type { Connection, DriveAnswer } from "./connection";
 import { ageText, digits, find, remember, remembered, setText } from "./dom";
-import { type Deflection, Driving, TICK_MS } from "./driving";
+import { type Deflection, Driving, type Source, TICK_MS } from "./driving";
 import type { Fleet } from "./fleet";
 import { connectGamepad } from "./gamepad";
-import { connectJoystick } from "./joystick";
+import { connectJoystick, isStickShown } from "./joystick";
 import { connectKeys, LOST } from "./keys";
 import { named, type RobotView, type Velocity } from "./views";
 
@@ -15,6 +15,7 @@ const REFUSED_MS = 1500; // an older refusal is not shown
 const AFTERGLOW_MS = 900; // the daemon may still name this page as the driver
 
 const LEASE_MS = 500;
+const SEEN: Source[] = ["joystick", "keys"]; // they drive where the stick is visible
 const HELD = "held"; // kind of a refusal: another source drives with a higher priority
 
 const STANDING: Velocity = { linear_m_s: 0, angular_rad_s: 0 };
@@ -135,8 +136,9 @@ export class Drive {
   }
 
   private tick(): void {
-    if (this.pause.isLong())
-      this.driving.releaseAll(); // the robot has stopped, and releases may have been missed
+    const isBlind = SEEN.some((source) => this.driving.holds(source)) && !isStickShown();
+    if (this.pause.isLong() || isBlind)
+      this.driving.releaseAll(); // after a pause the robot has stopped, and releases may have been missed
     else this.driving.tick();
     const command = this.canDrive() ? this.driving.velocity() : STANDING;
     setText(find("#command-linear"), digits(command.linear_m_s, 2));

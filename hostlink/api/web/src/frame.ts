@@ -8,6 +8,7 @@ import { COLUMNS, LAYOUTS, type LayoutName, Layouts } from "./layouts";
 import type { Page } from "./page";
 import { type Feed, PANELS, type Panel } from "./panels";
 import { Sizes } from "./sizes";
+import { addCloser } from "./open";
 import { makeSplitter } from "./splitter";
 
 const SHORT = "(max-height: 640px)";
@@ -67,15 +68,12 @@ export class Frame {
     for (const query of [this.isPhone, this.isTablet, this.isShort, this.isNarrow, this.isWide])
       query.addEventListener("change", () => this.arrange());
     this.main.append(this.makeEdge("left"), this.makeEdge("right"));
-    // the stop also uses this key and stops its propagation
-    addEventListener(
-      "keydown",
-      ({ code, repeat }) => {
-        if (code !== "Escape" || repeat || this.menu.close() || this.maximised === null) return;
-        this.maximise(null);
-      },
-      { capture: true },
-    );
+    addCloser(() => {
+      if (this.maximised === null) return false;
+      this.maximise(null);
+      return true;
+    });
+    addCloser(() => this.menu.close());
     this.arrange();
   }
 
@@ -255,9 +253,7 @@ export class Frame {
       const isIt = name === this.maximised;
       framed.element.classList.toggle("maximised", isIt);
       framed.full.setAttribute("aria-pressed", String(isIt));
-      framed.full.title = isIt
-        ? "Show all panels again. Escape does so too, and locks the robot."
-        : "Show this panel alone";
+      framed.full.title = isIt ? "Show all panels again (Escape)" : "Show this panel alone";
       this.showFold(framed);
     }
   }

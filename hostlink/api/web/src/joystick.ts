@@ -1,4 +1,9 @@
-/** The joystick for fingers and mice, drawn by nipplejs. Every way of losing the pointer releases it. */
+/**
+ * The joystick for fingers and mice, drawn by nipplejs. Every way of losing the pointer releases it.
+ *
+ * Where its middle is, is measured when it is pressed. A robot that connects or a finding may move it on the screen while
+ * it is held: then the same place of the finger means the same velocity, never the opposite one.
+ */
 
 import nipplejs from "nipplejs";
 import { find } from "./dom";
@@ -9,12 +14,26 @@ const DEAD_ZONE = 0.08;
 
 const MAIN_BUTTON = 1; // in `buttons`
 
+/** Whether the user sees the stick: its middle is in the window, and nothing but its own texts lies over it. */
+export function isStickShown(): boolean {
+  const zone = find("#joystick");
+  const { left, top, width, height } = zone.getBoundingClientRect();
+  if (width === 0) return false;
+  const above = document.elementFromPoint(left + width / 2, top + height / 2);
+  return above !== null && zone.parentElement?.contains(above) === true;
+}
+
 /** Return what shows a command on the knob: keys and gamepads move it too. While the stick is held it follows the pointer. */
 export function connectJoystick(zone: HTMLElement, driving: Driving): (command: Deflection) => void {
   const isOther = (event: PointerEvent) => event.pointerType === "mouse" && (event.buttons & MAIN_BUTTON) === 0;
-  zone.addEventListener("pointerdown", (event) => isOther(event) && event.stopImmediatePropagation(), {
-    capture: true,
-  });
+  zone.addEventListener(
+    "pointerdown",
+    (event) => {
+      if (isOther(event)) event.stopImmediatePropagation();
+      else if (!zone.classList.contains("held")) joystick.reposition();
+    },
+    { capture: true },
+  );
   zone.addEventListener("contextmenu", (event) => {
     event.preventDefault(); // also for a finger that rests: a menu would end the touch
     event.stopPropagation();
@@ -24,7 +43,6 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): (command: 
     mode: "static",
     position: { left: "50%", top: "50%" },
     size: SIZE_PX,
-    dynamicPage: true, // its column may be scrolled, or the panel moved
     color: { front: "var(--accent)", back: "transparent" },
     restOpacity: 1,
     fadeTime: 0,
@@ -52,6 +70,7 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): (command: 
     { capture: true },
   );
   for (const lost of ["pointercancel", "touchcancel", "touchend"]) zone.addEventListener(lost, release);
+  addEventListener("resize", () => driving.releaseAll()); // nipplejs then measures again
   const knob = find("#joystick .front");
   return ({ forward, turn }) => {
     const radius = SIZE_PX / 2 / Math.max(1, Math.hypot(forward, turn)); // the knob stays within the circle

@@ -1,6 +1,12 @@
-/** Keys drive while they are held, by their position on the keyboard, and not while the user types. */
+/**
+ * Keys drive while they are held, by their position on the keyboard: where the stick is visible, and not while the user
+ * types.
+ */
 
 import type { Driving } from "./driving";
+import { isStickShown } from "./joystick";
+import { notice } from "./notice";
+import { closeTop } from "./open";
 
 const WAYS: Record<string, [forward: number, turn: number]> = {
   ArrowUp: [1, 0],
@@ -16,11 +22,14 @@ const WAYS: Record<string, [forward: number, turn: number]> = {
 /** Events after which releases are not reported: another window, a browser menu, a drag out of the page. */
 export const LOST = ["blur", "contextmenu", "dragstart"] as const;
 
+const HIDDEN = "Keys drive only where the stick is visible.";
+const HIDDEN_MS = 3000;
+
 const FRAME = "[role=separator], .full"; // resize and maximise panels: no key on them drives
 
 const TEXTS = new Set(["text", "password", "number", "search", "email", "url", "tel"]);
 
-/** Space stops; L and Escape lock. */
+/** Space stops; L and Escape lock. Escape first closes what is open, unless this page drives: then it is a stop. */
 export function connectKeys(driving: Driving, stop: () => void, lock: () => void): void {
   const held = new Set<string>();
   const hold = () => {
@@ -42,9 +51,13 @@ export function connectKeys(driving: Driving, stop: () => void, lock: () => void
         event.preventDefault();
         event.stopPropagation(); // Space stops also when a button has the focus
         if (event.repeat) return;
-        if (isLock) lock();
-        else stop();
+        if (!isLock) stop();
+        else if (event.code !== "Escape" || driving.isHeld || !(leaveSearch(event.target) || closeTop())) lock();
       } else if (event.code in WAYS && !isModified && !isTaken(event)) {
+        if (!isStickShown()) {
+          if (!event.code.startsWith("Arrow")) notice("done", HIDDEN, HIDDEN_MS); // arrows scroll
+          return;
+        }
         event.preventDefault();
         if (event.repeat) return; // a key that was released, for example by leaving the window, must be pressed again
         held.add(event.code);
@@ -87,6 +100,15 @@ function isControl(target: EventTarget | null): boolean {
 
 function isRadio(target: EventTarget | null): boolean {
   return target instanceof HTMLInputElement && target.type === "radio";
+}
+
+/** Empty and leave a field for a search, as browsers do. Return false for another element. */
+function leaveSearch(target: EventTarget | null): boolean {
+  if (!(target instanceof HTMLInputElement) || target.type !== "search") return false;
+  target.value = "";
+  target.dispatchEvent(new Event("input"));
+  target.blur();
+  return true;
 }
 
 function isTyping(target: EventTarget | null): boolean {

@@ -9,6 +9,7 @@ import { make } from "./dom";
 import { makeDownload } from "./download";
 import { LogList } from "./loglist";
 import { notice } from "./notice";
+import { addCloser } from "./open";
 import { bytes, duration, makeButton } from "./widgets";
 import { type HistoryView, linesOf } from "./past";
 import { PathView } from "./pathview";
@@ -64,6 +65,11 @@ interface Shown {
 
 export class StoredWindow {
   private root: HTMLElement | null = null;
+  private opener: HTMLElement | null = null; // gets the focus back
+
+  constructor() {
+    addCloser(() => this.leave());
+  }
 
   /** `opener` gets the focus back. */
   async openIncident(incident: IncidentView, opener: HTMLElement): Promise<void> {
@@ -102,9 +108,18 @@ export class StoredWindow {
     );
   }
 
-  private close(): void {
-    this.root?.remove();
+  /** Return false if it is not open. */
+  private close(): boolean {
+    if (this.root === null) return false;
+    this.root.remove();
     this.root = null;
+    return true;
+  }
+
+  private leave(): boolean {
+    const isOpen = this.close();
+    if (isOpen) this.opener?.focus();
+    return isOpen;
   }
 
   private show(
@@ -124,10 +139,8 @@ export class StoredWindow {
     log.prepend(linesOf(history, "", zero_s));
 
     const heading = make("h2", { id: "incident-title", tabindex: "-1" }, title);
-    const close = makeButton("Close", () => {
-      this.close();
-      opener.focus();
-    });
+    this.opener = opener;
+    const close = makeButton("Close", () => this.leave(), { title: "Escape closes it, too" });
     const download = makeDownload(path, file);
     const head = make("div", { class: "head" }, heading, make("div", { class: "tools" }, ...tools, download, close));
     const zooms = make(

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import struct
 import sys
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from types import SimpleNamespace
 from typing import Any
@@ -228,6 +229,7 @@ class FakeDriver:
     def __init__(self) -> None:
         self.robots: list[str] = []
         self.received: list[tuple[str, tuple[float, ...], object, bool]] = []
+        self.came_s: list[float] = []
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -239,7 +241,8 @@ class FakeDriver:
     def update(self, robots: Iterable[str], _keys: object) -> None:
         self.robots = list(robots)
 
-    def receive(self, route: Any, twist: Any, key: object, *, is_first: bool) -> None:
+    def receive(self, route: Any, twist: Any, key: object, *, came_s: float, is_first: bool) -> None:
+        self.came_s.append(came_s)
         self.received.append((route.robot, tuple(twist), key, is_first))
 
 
@@ -293,8 +296,11 @@ def test_velocity_of_ros_2_reaches_the_driver_while_the_daemon_has_the_robot() -
         receive = world.node.subscriptions["/robot_0/cmd_vel"]
         assert world.node.qos["/robot_0/cmd_vel"] == (COMMANDS, False)
         receive(SimpleNamespace(linear=vector(0.2), angular=vector(z=-0.5)), {"publication_sequence_number": 1})
-        receive(SimpleNamespace(linear=vector(y=0.1), angular=vector()), {"publisher_gid": {"data": [7, 8]}})
+        info = {"publisher_gid": {"data": [7, 8]}, "received_timestamp": time.time_ns() - 2 * 10**9}
+        receive(SimpleNamespace(linear=vector(y=0.1), angular=vector()), info)
         await asyncio.sleep(0.1)
+        fresh, old = world.driver.came_s
+        assert 1.9 < fresh - old < 3.0
         assert world.driver.received == [
             ("robot_0", (0.2, 0.0, 0.0, 0.0, 0.0, -0.5), "/robot_0/cmd_vel", True),
             ("robot_0", (0.0, 0.1, 0.0, 0.0, 0.0, 0.0), b"\7\b", False),

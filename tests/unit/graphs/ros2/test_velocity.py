@@ -285,6 +285,20 @@ async def test_publisher_of_before_whose_motion_begins_now_has_no_earlier_epoch(
     assert world.epochs() == [None]
 
 
+@pytest.mark.parametrize(("waited_s", "sent"), [(0.3, [FORWARD, STANDING]), (0.6, [])])
+@virtual
+async def test_velocity_that_waited_for_a_lease_before_it_was_taken_is_dropped(
+    waited_s: float, sent: list[Twist]
+) -> None:
+    world = World()
+    async with world.driver.running():
+        await asyncio.sleep(1.0)
+        for twist in (FORWARD, STANDING):
+            world.driver.receive(ROUTE, twist, b"a", came_s=asyncio.get_running_loop().time() - waited_s)
+            await asyncio.sleep(0.1)
+    assert [twist for _, twist, _ in world.daemon.commands] == sent
+
+
 @virtual
 async def test_a_flood_stays_under_the_daemon_s_limit_and_a_stop_waits_for_none_of_it() -> None:
     world = World()

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, cast
 
 import pytest
@@ -22,14 +22,16 @@ from hostlink.graphs.zenoh.fleet_messages import (
     Keys,
     Sender,
     State,
+    Stop,
     Unlock,
     encode,
 )
 from hostlink.graphs.zenoh.roster import SILENT_S, FleetRoster
 from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
-from hostlink.hub.robot import AnyRobot
+from hostlink.hub.robot import AnyRobot, LocalRobot
 from hostlink.robot.velocity import ZERO, PlanarVelocity
+from tests.support.background import meanwhile
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, POSE, ROBOT, Scene, ScriptedDevice, play, robot_topics
@@ -516,3 +518,192 @@ async def test_daemons_are_found_again_after_a_token_may_have_been_dropped(world
         session.counts["dropped"] += 1
         await asyncio.sleep(FIND_INTERVAL_S / 10)
     assert 2 <= len(subscribed) <= 3
+
+
+# -- hosts that are out of sight --------------------------------------------------------------------------------------
+
+
+class Cut:
+    """Network between `lab` and `desk`, which is cut and healed."""
+
+    def __init__(self, world: World) -> None:
+        self.network = world.network
+        self.tokens = [key for key in self.network.tokens if "/alive/" in key]
+
+    def cut(self) -> None:
+        self.network.deaf |= {"1a", "2b"}
+        for zid in ("1a", "2b"):
+            self.network.drop(zid)
+
+    def heal(self) -> None:
+        self.network.deaf.clear()
+        for key in self.tokens:
+            self.network.note_token(key, is_alive=True)
+
+
+@contextlib.asynccontextmanager
+async def driven_at_lab(world: World) -> AsyncIterator[LocalRobot]:
+    """A program at the robot's own daemon drives it, whatever it is answered."""
+    robot = world.scene.hub.robots.find(ROBOT)
+    assert isinstance(robot, LocalRobot)
+
+    async def go_on() -> None:
+        while True:
+            with contextlib.suppress(HostlinkError):
+                world.scene.neighbour.drive(robot, DRIVE)
+            await asyncio.sleep(0.1)
+
+    async with meanwhile(go_on()):
+        await asyncio.sleep(0.3)
+        assert world.scene.speeds()[-1] == 0.2
+        yield robot
+
+
+@pytest.mark.parametrize("seen_s", [0.0, 1.0, 100.0])
+def test_stop_of_a_host_out_of_sight_is_an_error_and_in_force_when_it_is_seen_again(seen_s: float) -> None:
+    async def test(world: World) -> None:
+        cut = Cut(world)
+        async with driven_at_lab(world):
+            cut.cut()
+            await asyncio.sleep(seen_s)
+            for stop in (world.desk.robots.stop_all, world.robot().stop):
+                stop()
+                with pytest.raises(DeviceGone, match="lab: has not answered the stop"):
+                    await world.desk.gates.settled()
+            await asyncio.sleep(seen_s)
+            assert world.scene.speeds()[-1] == 0.2
+            cut.heal()
+            await asyncio.sleep(1.0)
+            assert world.scene.speeds()[-1] == 0.0
+
+    with_fleet(test)
+
+
+@inside(with_fleet)
+async def test_lock_of_a_host_out_of_sight_is_shown_refuses_and_is_in_force_when_it_is_seen_again(world: World) -> None:
+    cut = Cut(world)
+    async with driven_at_lab(world) as there:
+        cut.cut()
+        await asyncio.sleep(2.0)
+        world.robot().lock("crossing")
+        assert world.robot().state(now_s()).lock_reason == "crossing (desk)"
+        with pytest.raises(DeviceGone, match="lab: has not answered the lock"):
+            await world.desk.gates.settled()
+        with pytest.raises(CommandRefused) as caught:
+            await world.drive()
+        assert caught.value.kind is RefusalKind.LOCKED
+        await asyncio.sleep(60.0)
+        cut.heal()
+        await asyncio.sleep(1.5)
+        assert there.gate.lock_reason == "crossing (desk)"
+        assert world.scene.speeds()[-1] == 0.0
+        assert world.robot().state(now_s()).lock_reason == "crossing (desk)"
+        world.robot().unlock()
+        await world.desk.gates.settled()
+        await asyncio.sleep(1.5)
+        assert (there.gate.lock_reason, world.robot().state(now_s()).lock_reason) == (None, None)
+
+
+@inside(with_fleet)
+async def test_unlock_of_a_host_out_of_sight_is_an_error_and_withdraws_the_lock(world: World) -> None:
+    cut = Cut(world)
+    cut.cut()
+    await asyncio.sleep(2.0)
+    world.robot().lock("crossing")
+    with pytest.raises(DeviceGone):
+        await world.desk.gates.settled()
+    world.robot().unlock()
+    assert world.robot().state(now_s()).lock_reason is None
+    with pytest.raises(DeviceGone, match="lab: has not answered the unlock"):
+        await world.desk.gates.settled()
+    cut.heal()
+    await asyncio.sleep(2.0)
+    assert world.scene.hub.robots.find(ROBOT).gate.lock_reason is None
+
+
+@inside(with_fleet)
+async def test_stop_of_a_daemon_that_is_silent_is_an_error(world: World) -> None:
+    world.network.deaf.add("2b")
+    await asyncio.sleep(SILENT_S + 0.5)
+    world.desk.robots.stop_all()
+    with pytest.raises(DeviceGone, match="lab: has not answered the stop"):
+        await world.desk.gates.settled()
+
+
+@inside(with_fleet)
+async def test_order_of_an_earlier_caller_is_not_waited_for_by_a_later_one(world: World) -> None:
+    world.network.deaf.add("1a")
+    world.desk.robots.stop_all()
+    with pytest.raises(DeviceGone):
+        await world.desk.gates.settled()
+    before_s = now_s()
+    await world.desk.gates.settled()
+    assert now_s() == before_s
+
+
+@inside(with_fleet)
+async def test_lock_for_a_host_out_of_sight_holds_for_its_robot_here(world: World) -> None:
+    Cut(world).cut()
+    await asyncio.sleep(2.0)
+    world.robot().lock("crossing")
+    device = ScriptedDevice(world.desk, robot_topics(ROBOT), address="10.0.0.7")
+    await asyncio.sleep(1.0)
+    robot = world.desk.robots.find(ROBOT)
+    assert (robot.host, robot.state(now_s()).lock_reason) == (None, "crossing (desk)")
+    await device.aclose()
+
+
+@inside(with_fleet)
+async def test_program_that_sees_no_answers_drives_no_robot_of_another_host(world: World) -> None:
+    """The daemon of the program is deaf: its commands arrive, and nobody there sees what the robot does."""
+    await world.drive()
+    world.network.deaf.add("2b")
+    refusals: list[str] = []
+    for _ in range(30):
+        try:
+            world.program.drive(world.robot(), DRIVE)
+        except HostlinkError as error:
+            refusals.append(str(error))
+        await asyncio.sleep(0.05)
+    assert any("lab does not answer" in text for text in refusals)
+    assert world.scene.speeds()[-1] == 0.0
+    world.network.deaf.clear()
+    await asyncio.sleep(1.5)
+    assert (await world.drive()).x_m_s == 0.2
+
+
+@inside(with_fleet)
+async def test_daemon_that_hears_nobody_tells_its_users(world: World) -> None:
+    told: list[str] = []
+    rosout = world.desk.topics.find("/rosout")
+    world.program.subscribe("/rosout", lambda message: told.append(rosout.type.decode(message.payload)["msg"]))
+    cut = Cut(world)
+    cut.cut()
+    await asyncio.sleep(0.3)
+    assert [text.partition(" (")[0] for text in told] == ["this host hears no other host of the fleet"]
+    cut.heal()
+    await asyncio.sleep(1.5)
+    assert told[1:] == ["every host of the fleet is heard again"]
+
+
+@inside(play)
+async def test_stop_that_is_repeated_is_answered_and_obeyed_once(scene: Scene) -> None:
+    requests = Requests(scene)
+    requests.hear()
+
+    def stop(*to: str) -> FleetAnswer | None:
+        requests.drivers.receive_stop(
+            ZenohSample(requests.keys.key("stop", requests.desk), encode(Stop(number=7, robot=ROBOT, to=to)))
+        )
+        return ANSWER.decode(requests.sent.pop()) if requests.sent else None
+
+    robot = scene.hub.robots.find(ROBOT)
+    epoch = robot.admission.epoch
+    assert stop("3c") is None
+    assert robot.admission.epoch == epoch
+    assert stop().number == 7
+    stopped = robot.admission.epoch
+    assert stopped > epoch
+    answer = stop("1a")
+    assert [each.name for each in answer.robots]
+    assert robot.admission.epoch == stopped

@@ -1,0 +1,102 @@
+"""FolderOwner: one daemon writes into a folder of recordings; another one is told which."""
+
+import contextlib
+import errno
+import fcntl
+import os
+import threading
+from pathlib import Path
+
+NAME = ".owner"  # locked by the daemon that owns the folder; its text says which. It stays when the daemon ends
+_MAX_TEXT = 200
+_TRIES = 3
+
+
+class FolderTaken(OSError):
+    """Another daemon owns the folder."""
+
+    def __init__(self, folder: Path, owner: str) -> None:
+        advice = "set another recording.folder for this daemon"
+        super().__init__(errno.EBUSY, f"{folder} belongs to {owner or 'another daemon'}; {advice}")
+
+
+class FolderOwner:
+    """Claim of a daemon on its folder. It ends with the process, however that ends."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        """`name`: of this daemon, for other daemons that want the folder."""
+        self._folder, self._name = folder, name
+        self._turn = threading.Lock()
+        self._descriptor = -1
+
+    def claim(self) -> None:
+        """Own the folder from now on; call it before each write. The folder is created, also after it was removed.
+
+        On a file system without locks, every daemon owns the folder.
+
+        Raises:
+            FolderTaken: another daemon owns it.
+            OSError: the disk failed.
+        """
+        with self._turn:
+            for _ in range(_TRIES):
+                if self._descriptor >= 0 and _is_file(self._descriptor, self._folder / NAME):
+                    return
+                self._close()
+                self._folder.mkdir(parents=True, exist_ok=True)
+                with contextlib.suppress(FileNotFoundError):  # the folder was removed again
+                    self._descriptor = self._lock()
+            raise FolderTaken(self._folder, "")
+
+    def release(self) -> None:
+        """Leave the folder to another daemon."""
+        with self._turn:
+            self._close()
+
+    def _lock(self) -> int:
+        with contextlib.ExitStack() as stack:
+            descriptor = os.open(self._folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            stack.callback(os.close, descriptor)
+            if not _try_lock(descriptor):
+                raise FolderTaken(self._folder, _text_of(descriptor))
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, self._name.encode()[:_MAX_TEXT], 0)
+            stack.pop_all()
+        return descriptor
+
+    def _close(self) -> None:
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+def owner_of(folder: Path) -> str | None:
+    """Return the name of the daemon that owns the folder; None: no daemon does."""
+    with contextlib.suppress(OSError), (folder / NAME).open("rb") as file:
+        if not _try_lock(file.fileno()):
+            return _text_of(file.fileno()) or "another daemon"
+    return None
+
+
+def _try_lock(descriptor: int) -> bool:
+    """Lock the file until it is closed. False: another process has locked it."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a network file system may not support locks
+        return True
+    return True
+
+
+def _text_of(descriptor: int) -> str:
+    text = os.pread(descriptor, _MAX_TEXT, 0).decode(errors="replace")
+    return "".join(char for char in text if char.isprintable())
+
+
+def _is_file(descriptor: int, path: Path) -> bool:
+    """Whether the open file still has this path."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except OSError:
+        return False

@@ -1,0 +1,49 @@
+"""SO_LINGER of Zenoh's sockets is turned off, and no other socket is touched."""
+
+import socket
+import struct
+from collections.abc import Iterator
+
+import pytest
+
+from hostlink.graphs.zenoh.lingering import ZENOHS, LingerSweep
+
+
+@pytest.fixture
+def opened() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as made:
+        yield made
+
+
+def linger(one: socket.socket) -> bytes:
+    return one.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)
+
+
+def test_socket_with_zenohs_value_is_closed_without_waiting_and_stays_open(opened: socket.socket) -> None:
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ZENOHS)
+    sweep = LingerSweep()
+    assert sweep.sweep() == 1
+    assert linger(opened)[:4] == bytes(4)
+    assert opened.fileno() >= 0
+    assert sweep.sweep() == 0
+
+
+@pytest.mark.parametrize("value", [(1, 0), (1, 9), (0, 0)])
+def test_socket_with_another_value_is_not_touched(opened: socket.socket, value: tuple[int, int]) -> None:
+    packed = struct.pack("ii", *value)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, packed)
+    assert LingerSweep().sweep() == 0
+    assert linger(opened) == packed
+
+
+def test_descriptor_that_is_used_again_is_looked_at_again() -> None:
+    sweep = LingerSweep()
+    first = socket.socket()
+    sweep.sweep()
+    number = first.fileno()
+    first.close()
+    with socket.socket() as second:
+        if second.fileno() != number:
+            pytest.skip("another thread has taken the descriptor")
+        second.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ZENOHS)
+        assert sweep.sweep() == 1
