@@ -19,7 +19,6 @@ from hostlink.cli.teleop_screen import QUIT_KEY
 from hostlink.cli.top_screen import TopScreen
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError
-from hostlink.plain_text import plain
 
 
 def command(

@@ -6,8 +6,9 @@ from typing import Any
 
 from hostlink.cli.driving import Action, Key
 from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, ordered, robot_table
-from hostlink.cli.output import plain, table
+from hostlink.cli.output import table
 from hostlink.cli.teleop_screen import QUIT_KEY, RED, YELLOW, Line, folded
+from hostlink.plain_text import plain
 
 BOLD = "1"
 SILENT_S = 2.0  # age of an odometry that is coloured: robots send it ten times a second, slow ones once
