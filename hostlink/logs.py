@@ -92,7 +92,9 @@ class _Brief:
     def __init__(self, sentences: Sentences, render: structlog.typing.Processor) -> None:
         self._sentences, self._render = sentences, render
 
-    def __call__(self, logger: object, method: str, event: structlog.typing.EventDict) -> object:
+    def __call__(
+        self, logger: object, method: str, event: structlog.typing.EventDict
+    ) -> structlog.typing.ProcessorReturnValue:
         if event["level"] not in ("debug", "info"):
             return self._render(logger, method, event)
         if (sentence := self._sentences(event)) is None:

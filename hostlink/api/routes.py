@@ -216,10 +216,22 @@ async def explain_errors(request: web.Request, handler: Handler) -> web.StreamRe
             raise
         status = HTTPStatus(error.status)
         is_own = error.reason not in ("", status.phrase)  # a handler's own reason, not the standard phrase
-        reason = error.reason if is_own else f"{request.method} {request.path}: {status.phrase}"
+        reason = error.reason if is_own else f"{request.method} {request.path}: {status.phrase}{_step(error)}"
         answer = refusal("HTTP", reason, status)
         answer.headers.update({name: error.headers[name] for name in _KEPT_HEADERS if name in error.headers})
         return answer
+
+
+def _step(error: web.HTTPException) -> str:
+    """Return the next step after a request of a path or a method that does not exist; empty after other errors."""
+    if isinstance(error, web.HTTPMethodNotAllowed):
+        return f"; allowed: {', '.join(sorted(error.allowed_methods))}"
+    is_missing = error.status == HTTPStatus.NOT_FOUND
+    return (
+        "; GET /api/openapi.json lists the requests, GET /api/robots the robots, and / is the page"
+        if is_missing
+        else ""
+    )
 
 
 FOXGLOVE = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # subprotocols: two names of one protocol

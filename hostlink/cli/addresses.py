@@ -18,13 +18,13 @@ MAX_DIGITS = 9  # of a port or a baud rate; Python refuses to read a number of t
 
 
 def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
-    """Return the host and the port of `HOST:PORT`, `:PORT` or `[::1]:PORT`.
+    """Return the host and the port of `HOST:PORT`, `PORT`, `:PORT` or `[::1]:PORT`.
 
     Raises:
         ConfigError: `text` has another form; the error begins with `option`.
     """
-    host, colon, port = text.rpartition(":")
-    if not colon or not _is_number(port) or int(port) > MAX_PORT:
+    host, _, port = text.rpartition(":")
+    if not _is_number(port) or int(port) > MAX_PORT:
         raise _not_an_address(option, text)
     try:
         host.encode("idna")
@@ -34,7 +34,9 @@ def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
 
 
 def _not_an_address(option: str, text: str) -> ConfigError:
-    return ConfigError(option, f"{text!r} is not HOST:PORT; an example: 192.168.4.1:11411")
+    is_serial = text.startswith("/dev/") or text.upper().startswith("COM")
+    step = "a serial port is --serial /dev/ttyUSB0" if is_serial else "an example: 192.168.4.1:11411"
+    return ConfigError(option, f"{text!r} is not HOST:PORT; {step}")
 
 
 def is_origin(text: str) -> bool:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from hostlink.cli.arguments import Token, Url, not_empty
+from hostlink.cli.arguments import Token, Url, not_empty, robot_names
 from hostlink.cli.calibration_picture import picture as draw
 from hostlink.cli.calibration_plan import (
     SavedCalibration,
@@ -21,8 +21,10 @@ from hostlink.cli.calibration_plan import (
     steps_of,
 )
 from hostlink.cli.calibration_session import AtTheTerminal, CalibrationSession, Drives, Mistake, Simulated, numbers_of
+from hostlink.cli.connecting import ask
 from hostlink.cli.files import writing
 from hostlink.cli.output import quantity, table, write, write_error
+from hostlink.cli.robots import name_of
 from hostlink.cli.settings_file import Tables, require_changeable, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
 from hostlink.config import CalibrationConfig, load
@@ -46,7 +48,12 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Name of the robot.", callback=not_empty)],
+    robot: Annotated[
+        str | None,
+        typer.Argument(
+            help="Name of the robot; optional if only one is connected.", callback=not_empty, autocompletion=robot_names
+        ),
+    ] = None,
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,
@@ -142,7 +149,7 @@ def command(
             "--write", f"{write_to} would get the numbers of a simulated robot; add --write-simulated to practise"
         )
     sizes = Sizes(length, side, turns, repeats)
-    name = robot.strip("/")
+    name = (robot or _only_robot(url, token, simulate=simulate)).strip("/")
     session: CalibrationSession
     if simulate:
         session = Simulated(_world(world or []), mistake)
@@ -170,6 +177,11 @@ def command(
         write("", "Confirmed. In hostlink.toml:", "", *toml_lines(settings))
     _keep(session, settings, chosen, write_to, apply=apply)
     saved.remove()
+
+
+def _only_robot(url: str, token: str | None, *, simulate: bool) -> str:
+    """Return the only robot that is connected; a simulated one needs no daemon."""
+    return "robot_0" if simulate else ask(url, token, lambda host: name_of(host, None, example="hostlink calibrate {}"))
 
 
 class GuidedCalibration:

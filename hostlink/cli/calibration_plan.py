@@ -1,8 +1,6 @@
 """Plan of a calibration: order and space of its drives, the state file between them, and lengths that people enter."""
 
-import math
 import os
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +14,6 @@ from hostlink.robot.course import Leg, square, straight, turns
 
 FORMAT = 1  # of the state file
 SPARE_M = 0.5  # free floor beyond a course
-UNITS_M = {"cm": 0.01, "mm": 0.001, "m": 1.0, "in": 0.0254}
-_LENGTH = re.compile(r"\s*([-+]?[\d.,]+(?:e[-+]?\d+)?)\s*([a-z\"]*)\s*", re.IGNORECASE)
-_EXAMPLE = "12.5 cm, 125 mm, 0.125 m or 4.92 in"
 
 
 class Sizes(msgspec.Struct, frozen=True):
@@ -157,49 +152,3 @@ def checks_of(sizes: Sizes) -> list[Step]:
     """Return the drives that must confirm the result."""
     kinds = ((RunKind.STRAIGHT, sizes.length_m), (RunKind.SQUARE_CW, sizes.side_m), (RunKind.SQUARE_CCW, sizes.side_m))
     return [Step(kind, size) for kind, size in kinds]
-
-
-class UnitMissing(ValueError):
-    """A length was entered without its unit."""
-
-    def __init__(self, number: str) -> None:
-        self.number = number
-        super().__init__(f"{number} has no unit; enter for example {_EXAMPLE}")
-
-
-def parse_length(text: str, default: str = "") -> float:
-    """Return the metres of `12,5 cm`, `-3 mm`, `3.012 m` or `5 in`. A bare number has the `default` unit.
-
-    Raises:
-        UnitMissing: a bare number was entered, and no default is given.
-        ValueError: the text is not a length; the error has an example.
-    """
-    wanted = f"length; enter {_EXAMPLE}"
-    found = _LENGTH.fullmatch(text)
-    unit = "" if found is None else found[2].lower().replace('"', "in") or default
-    if found is None or (unit and unit not in UNITS_M):
-        raise ValueError(f"{text.strip()!r} is not a {wanted}")
-    number = _number(found[1].replace(",", "."), text, wanted)
-    if number and not unit:
-        raise UnitMissing(found[1])
-    return number * UNITS_M.get(unit, 0.0)
-
-
-def parse_angle(text: str) -> float:
-    """Return the radians of an angle in degrees.
-
-    Raises:
-        ValueError: the text is not an angle; the error has an example.
-    """
-    word = text.strip().lower().replace(",", ".").removesuffix("degrees").removesuffix("°")
-    return math.radians(_number(word, text, "number of degrees; enter for example -12.5"))
-
-
-def _number(word: str, text: str, wanted: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{text.strip()!r} is not a {wanted}")
-    return value

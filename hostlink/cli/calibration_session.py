@@ -10,9 +10,10 @@ import termios
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any, Literal
 
-from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
+from hostlink.cli.calibration_plan import Step
 from hostlink.cli.connecting import connected, rosapi
 from hostlink.cli.output import show_progress, show_question, write, write_error
+from hostlink.cli.quantities import UNITS_M, UnitMissing, parse_angle, parse_length
 from hostlink.cli.robots import free_robot
 from hostlink.client import Host, RobotState
 from hostlink.client.robot import Robot

@@ -1,7 +1,7 @@
 """Figures of `hostlink top`, `links` and `robots`: rates from two snapshots of a daemon's state."""
 
 import asyncio
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, NamedTuple
 
 from hostlink.cli.names import driver, natural
@@ -71,17 +71,27 @@ def link_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-def robot_table(shown: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def robot_table(
+    shown: dict[str, Any], order: Callable[[dict[str, Any]], Any] | None = None
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return the columns of the robots and the cells of each robot, in the natural order of their names.
+
+    `order` is the key of another order; robots that are equal by it are in the order of their names.
 
     A column of DEVICE_COLUMNS is left out if no robot has a value for it.
     """
-    robots = sorted(shown["robots"], key=lambda robot: natural(robot["name"]))
+    robots = ordered(shown, order)
     device = [_device_row(robot) for robot in robots]
     used = [number for number in range(len(DEVICE_COLUMNS)) if any(row[number] != "-" for row in device)]
     columns = (*ROBOT_COLUMNS, *(DEVICE_COLUMNS[number] for number in used))
     rows = zip(map(_robot_row, robots), device, strict=True)
     return columns, [(*row, *(cells[number] for number in used)) for row, cells in rows]
+
+
+def ordered(shown: dict[str, Any], order: Callable[[dict[str, Any]], Any] | None = None) -> list[dict[str, Any]]:
+    """Return the robots as `robot_table` orders them."""
+    robots = sorted(shown["robots"], key=lambda robot: natural(robot["name"]))
+    return robots if order is None else sorted(robots, key=order)
 
 
 def _device_row(robot: dict[str, Any]) -> tuple[str, ...]:

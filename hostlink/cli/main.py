@@ -46,7 +46,15 @@ HABITS = PROGRAMS | {  # words that newcomers type, and the command that has the
     "run": "serve",
     "roscore": "serve",
     "version": "--version",
+    "-V": "--version",
+    "halt": "stop",
+    "estop": "lock",
+    "e-stop": "lock",
+    "devices": "links",
+    "boards": "links",
+    "watch": "top",
 }
+LISTS = ("list", "ls", "show")  # words before what is listed: `hostlink list topics`
 _SAME = {name: name for name in ("echo", "hz", "bw", "delay", "pub", "info", "type", "find")}
 ROS_GROUPS = {  # rostopic, ros2 topic and similar programs: the word behind them, and the command of hostlink
     "topic": {"list": "topics"} | _SAME,
@@ -83,10 +91,50 @@ ROS_OPTIONS = {  # option of a command of ROS, and the one of hostlink; empty: h
     ("play", "--topics"): "--as-program",
 }
 LISTS_TOPICS = {("record", "--topics"), ("play", "--topics")}
+SIGNED = ("move", "turn")  # commands whose argument may be negative: `hostlink turn robot_0 -90deg`
+FLAGS = ("--json", "--help", "-h")  # their options without a value
+_NEGATIVE_NUMBER = re.compile(r"-[.\d]")
 _STARTS = "`hostlink serve` starts the daemon, and `hostlink ros1` starts it as a node of ROS 1"
 _IN_A_FILE = "`hostlink export FILE --to csv` writes the messages of a recording"
 _OF_TYPES = "`hostlink type TYPE` shows the fields of a type, and `hostlink topics` lists the types that are in use"
-LACKING = {  # commands and options of ROS that hostlink lacks, and the next step
+_BY_THE_IDE = (
+    "the Arduino IDE, arduino-cli or PlatformIO writes a program into a board; `hostlink arduino-library` writes the "
+    "library for it, and `hostlink board` reads and sets what a board stores"
+)
+_THE_LOG = (
+    "`hostlink serve` writes the log (a service: `journalctl -u hostlink`); `hostlink echo /rosout` prints the lines "
+    "of the boards, `hostlink drives` and `hostlink incidents` show what has happened"
+)
+_SETTINGS = (
+    "`hostlink setup` writes a configuration file, `hostlink serve --config FILE` uses it, and `hostlink serve "
+    "--check-config FILE` checks it"
+)
+_THE_PAGE = "`hostlink serve` serves the page, by default on http://127.0.0.1:9090; open it in a browser"
+_THE_END = "Ctrl-C ends `hostlink serve` (a service: `systemctl stop hostlink`); `hostlink stop` stops the robots"
+_A_PLACE = "`hostlink robots` shows where each robot is, and `hostlink echo /ROBOT/odometry` prints every pose"
+_TO_DRIVE = (
+    "`hostlink move ROBOT 0.5` moves half a metre, `hostlink turn ROBOT 90deg` turns, and `hostlink teleop ROBOT` "
+    "drives by the keyboard"
+)
+_VERSION_OR_MORE = "--version shows the version; `hostlink serve --log-level debug` logs more"
+_ADDRESSES = (
+    "a serial port is --serial /dev/ttyUSB0@57600, the address for boards on the network --listen HOST:PORT, and that "
+    "for programs and the page --api HOST:PORT"
+)
+LACKING = {  # commands and options that people type and hostlink lacks, mostly of ROS, and the next step
+    **{("", word): step for words, step in {
+        ("upload", "flash", "burn"): _BY_THE_IDE,
+        ("log", "logs", "journal"): _THE_LOG,
+        ("config", "configure", "configuration", "settings"): _SETTINGS,
+        ("page", "web", "ui", "gui", "dashboard"): _THE_PAGE,
+        ("quit", "exit", "kill", "shutdown", "end"): _THE_END,
+        ("odom", "odometry", "pose", "position", "where"): _A_PLACE,
+        ("forward", "backward", "back", "left", "right", "speed", "velocity", "cmd_vel"): _TO_DRIVE,
+        ("-v", "--verbose"): _VERSION_OR_MORE,
+    }.items() for word in words},
+    **{("serve", option): _ADDRESSES for option in ("--port", "-p", "--host", "--tcp", "--baud", "--baudrate", "-b")},
+    **{(command, option): "`hostlink top` shows robots and links, live"
+       for command in ("robots", "links", "doctor") for option in ("--watch", "-w", "--follow", "-f")},
     ("node", "kill"): "`hostlink stop` stops the robots, and `hostlink clients` lists the programs that are connected",
     ("node", "ping"): "`hostlink links` shows for how long each device has been silent",
     ("node", "machine"): "`hostlink links` and `hostlink clients` list the addresses",
@@ -123,7 +171,9 @@ LACKING = {  # commands and options of ROS that hostlink lacks, and the next ste
     ("play", "-d"): "the robots' topics are announced a second before the first message; leave the option out",
 }  # fmt: skip
 _NO_NODE = "a parameter belongs to no node; leave the node out, as in `hostlink params {}`"
-SURPLUS = {  # commands that take fewer arguments than those of ROS, and what to do
+SURPLUS = {  # commands that take fewer arguments than those of ROS or than people type, and what to do
+    "teleop": f"the keys drive, and the speeds are options, as in `hostlink teleop ROBOT --linear 0.1`; {_TO_DRIVE}",
+    "serve": _ADDRESSES,
     **{
         f"params {example.partition(' ')[0]}": _NO_NODE.format(example)
         for example in ("get gain", "set gain 0.4", "delete gain", "load FILE")
@@ -147,6 +197,8 @@ def _own_command(words: Sequence[str]) -> list[str]:
     if first == "help":
         about = [word for word in rest if not word.startswith("-")]  # --help behind them would be a value
         return [*_own_command(about), "--help"] if about else ["--help"]
+    if first in LISTS and rest and rest[0] in COMMANDS:
+        return list(rest)
     if first in HABITS:
         return [*HABITS[first].split(), *rest]
     if first == "ros2" and rest and rest[0] in ROS2_WORDS:
@@ -187,6 +239,8 @@ def _of_group(group: str, program: str, rest: Sequence[str]) -> list[str]:
 def _own_options(words: Sequence[str]) -> list[str]:
     """Replace the options of ROS up to `--`."""
     command = words[0] if words else ""
+    if command in SIGNED and "--" not in words:
+        return _negative_last(words)
     end = words.index("--") if "--" in words else len(words)
     found = []
     for word in words[:end]:
@@ -199,6 +253,16 @@ def _own_options(words: Sequence[str]) -> list[str]:
         elif own:
             found.append(f"{own}{equals}{value}")
     return [*found, *words[end:]]
+
+
+def _negative_last(words: Sequence[str]) -> list[str]:
+    """Put a negative number that is an argument, not the value of an option, to the end, behind `--`."""
+    for place, word in enumerate(words):
+        before = words[place - 1] if place else ""
+        is_value = before.startswith("-") and before not in FLAGS and not _NEGATIVE_NUMBER.match(before)
+        if _NEGATIVE_NUMBER.match(word) and not is_value:
+            return [*words[:place], *words[place + 1 :], "--", word]
+    return list(words)
 
 
 # -- first screen -----------------------------------------------------------------------------------------------------
@@ -240,6 +304,8 @@ PANELS = {
     "Robots": {
         "robots": "List the robots.",
         "teleop": "Drive a robot with the keyboard.",
+        "move": "Move a robot along a line, and stop it.",
+        "turn": "Turn a robot on the spot, and stop it.",
         "stop": "Stop a robot, or all of them, now.",
         "lock": "Emergency stop: no robot moves until it is unlocked.",
         "unlock": "Let a robot be driven again.",
@@ -291,6 +357,7 @@ MODULES = {  # modules whose name is not that of the command
     **dict.fromkeys(("drives", "incidents"), "record"),
     "plot": "export",
     **dict.fromkeys(("stop", "lock", "unlock"), "robots"),
+    **dict.fromkeys(("move", "turn"), "motion"),
     "reload": "setup",
     "arduino-library": "board",
     **dict.fromkeys(("clients", "capture"), "links"),
@@ -464,14 +531,17 @@ def complaint(command: str, text: str) -> tuple[str, str]:
     if (found := _NO_COMMAND.fullmatch(text)) is not None:
         similar = found[2] and _listed(f"`{name.strip(chr(39))}`" for name in found[2].split(", "))
         inside = f" of `hostlink {command}`" if command else ""
+        if (step := LACKING.get((command, found[1]))) is not None:
+            return found[1], f"there is no such command; {step}"
         return found[1], f"there is no such command{inside}; {f'did you mean {similar}? ' if similar else ''}{options}"
     if (found := _NO_OPTION.fullmatch(text)) is not None:
         similar = found[2] and f"did you mean {_listed(found[2].split(', '))}? "
         step = LACKING.get((command, found[1])) or (_NO_QOS if found[1].startswith("--qos") else None)
-        step = _NEGATIVE if re.match(r"-[.\d]", found[1]) else step
+        step = _NEGATIVE if _NEGATIVE_NUMBER.match(found[1]) else step
         if command:
             return command, f"there is no option {found[1]}; {step or f'{similar or str()}{options}'}"
-        return found[1], "there is no such option; write options behind the command, as in `hostlink robots --url URL`"
+        step = step or "write options behind the command, as in `hostlink robots --url URL`"
+        return found[1], f"there is no such option; {step}"
     if (found := _NO_CHOICE.fullmatch(text)) is not None:
         return found[1], f"unknown value {found[2]!r}; choose {_listed(found[3].replace(chr(39), '').split(', '))}"
     if (found := _NOT_READABLE.fullmatch(text)) is not None:

@@ -66,8 +66,10 @@ def mean_all(names: Iterable[str], known: Collection[str]) -> bool:
     return any(name.lower() in ALL and name not in known for name in (each.strip("/") for each in names))
 
 
-def only_connected(robots: Mapping[str, bool], *, command: str) -> str:
+def only_connected(robots: Mapping[str, bool], *, example: str) -> str:
     """Return the only robot that is connected. `robots`: name -> whether it is connected.
+
+    `example` is a command with a place for the name, as in `hostlink teleop {}`.
 
     Raises:
         HostlinkError: several are connected, or none.
@@ -80,7 +82,7 @@ def only_connected(robots: Mapping[str, bool], *, command: str) -> str:
     if connected:
         raise HostlinkError(
             f"{len(connected)} robots are connected: {listed(connected)}; "
-            f"name one, as in `hostlink {command} {connected[0]}`"
+            f"name one, as in `{example.format(connected[0])}`"
         )
     known = listed(sorted(robots, key=natural))
     raise HostlinkError(f"no robot is connected; known are: {known}; `hostlink doctor` finds out why")

@@ -18,7 +18,7 @@ from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import ask, connected
 from hostlink.cli.files import check_output, fetch
 from hostlink.cli.local_time import now, offset, time_text
-from hostlink.cli.names import named, similar
+from hostlink.cli.names import named, similar, unknown
 from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError, HostlinkError, size
@@ -284,11 +284,15 @@ def row(drive: dict[str, Any], here: datetime) -> list[str]:
 # -- incidents --------------------------------------------------------------------------------------------------------
 
 _INCIDENTS_PATH = "/api/incidents"
+_FETCH = "`hostlink incidents NAME -o FILE` downloads one"
 
 
 def incidents(
     name: Annotated[
-        str | None, typer.Argument(help="File of an incident, as the list names it; needs --output.")
+        str | None,
+        typer.Argument(
+            help="A robot, to list its incidents only; with --output: file of an incident, as the list names it."
+        ),
     ] = None,
     *,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Download that file to this path.")] = None,
@@ -306,10 +310,8 @@ def incidents(
 
     The daemon keeps an MCAP file of each, from two minutes before the incident to half a minute after it.
     """
-    if (name is None) != (output is None):
-        raise ConfigError(
-            "incidents", "name the file of an incident and where to write it, as in `hostlink incidents NAME -o FILE`"
-        )
+    if output is not None and name is None:
+        raise ConfigError("incidents", f"name the file of an incident, too; {_FETCH}")
     if reason and save is None:
         raise ConfigError("--reason", "is the reason of --save; add --save ROBOT")
     if output is not None:
@@ -322,7 +324,7 @@ def incidents(
         write(str(output))
         return
     else:
-        view = ask(url, token, lambda host: host.get(_INCIDENTS_PATH))
+        view = ask(url, token, lambda host: _incidents(host, name))
         view["incidents"] = view["incidents"][: count if as_json else None]
     here = now()
     if as_json:
@@ -340,4 +342,24 @@ def incidents(
         ]
         write_newest([offset(here), "robot", "cause", "file", "detail"], rows, count, whole=["file", "detail"])
         if not rows:
-            write("there are no incidents")
+            write(f"there are no incidents{'' if name is None else f' of {name}'}")
+
+
+async def _incidents(host: Host, robot: str | None) -> dict[str, Any]:
+    """Return the incidents, of one robot if it is named.
+
+    Raises:
+        HostlinkError: no robot has that name, now or in an incident.
+    """
+    view = await host.get(_INCIDENTS_PATH)
+    if robot is None:
+        return view
+    name, found = robot.strip("/"), view["incidents"]
+    of_it = [each for each in found if each["robot"] == name]
+    if not of_it:
+        if any(each["file"] == robot for each in found):
+            raise HostlinkError(f"{robot} is the file of an incident; {_FETCH}")
+        known = {each["robot"] for each in found} | {state["name"] for state in await host.robots()}
+        if name not in known:
+            raise unknown("robot", name, known, command="incidents")
+    return {**view, "incidents": of_it}

@@ -11,7 +11,7 @@ import typer
 from hostlink.cli.arguments import AllRobots, Json, RobotNames, Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import ask
 from hostlink.cli.figures import robot_table
-from hostlink.cli.names import driver, mean_all, natural, unknown_robot
+from hostlink.cli.names import driver, mean_all, natural, only_connected, unknown_robot
 from hostlink.cli.output import write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Robot, RobotState, Standstill, StandstillState
 from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
@@ -34,6 +34,20 @@ async def chosen(host: Host, *names: str) -> list[RobotState]:
         if name not in robots:
             raise unknown_robot(name, robots)
     return [robots[name] for name in wanted]
+
+
+async def name_of(host: Host, name: str | None, *, example: str) -> str:
+    """Return the name of the wanted robot; without one, of the only robot that is connected.
+
+    `example` is a command with a place for the name, for the error.
+
+    Raises:
+        HostlinkError: no robot has that name; or without one, several are connected, or none.
+    """
+    if name is None:
+        return only_connected({each["name"]: each["connected"] for each in await host.robots()}, example=example)
+    (found,) = await chosen(host, name)
+    return found["name"]
 
 
 async def require_robot(host: Host, name: str) -> Robot:

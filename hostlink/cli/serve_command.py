@@ -203,7 +203,7 @@ def merge(
         config = dataclasses.replace(config, tcp=dataclasses.replace(config.tcp, host=host, port=port))
     if udp is not None:
         wanted = UdpConfig() if config.udp is None else config.udp
-        host, port = parse_address("--udp", f":{udp}" if udp.isdecimal() else udp, wanted.host)
+        host, port = parse_address("--udp", udp, wanted.host)
         config = dataclasses.replace(config, udp=dataclasses.replace(wanted, host=host, port=port))
     if api is not None:
         host, port = parse_address("--api", api, config.api.host)

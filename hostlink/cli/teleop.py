@@ -18,9 +18,8 @@ from hostlink.cancellation import first_error, meanwhile
 from hostlink.cli.arguments import Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import connected
 from hostlink.cli.driving import Confirmation, Driving, Key, KeyReader, Layout
-from hostlink.cli.names import only_connected
 from hostlink.cli.output import draw, terminal_size, write_control
-from hostlink.cli.robots import chosen
+from hostlink.cli.robots import name_of
 from hostlink.cli.teleop_screen import QUIT_KEY, UNLOCK_KEY, OwnState, lost_screen, screen
 from hostlink.client import DEFAULT_URL, Event, Host, Refusal, Robot, RobotState, connect
 from hostlink.client.views import Twist
@@ -222,7 +221,7 @@ def command(
 
 async def _teleop(url: str, token: str | None, name: str | None, driving: Driving, layout: str) -> None:
     async with connected(url, token) as host:
-        found = await _choose(host, name)
+        found = await name_of(host, name, example="hostlink teleop {}")
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ConfigError(
             "teleop", "standard input or output is not a terminal; from a script, drive with `hostlink pub` or the API"
@@ -236,13 +235,6 @@ async def _teleop(url: str, token: str | None, name: str | None, driving: Drivin
                 keyboard.driving.bar(loop_time_s())  # held keys must not move the robot when the connection returns
                 draw(lost_screen(found, str(lost), driving, width=terminal_size()[0] - 1))
                 await keyboard.wait(RETRY_S)
-
-
-async def _choose(host: Host, name: str | None) -> str:
-    if name is None:
-        return only_connected({robot["name"]: robot["connected"] for robot in await host.robots()}, command="teleop")
-    (found,) = await chosen(host, name)
-    return found["name"]
 
 
 async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> None:

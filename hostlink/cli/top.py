@@ -15,12 +15,10 @@ from hostlink.cli.driving import KeyReader
 from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, live_figures, robot_table
 from hostlink.cli.output import draw, is_terminal, table, terminal_size, write
 from hostlink.cli.teleop import QUIT_KEYS, QUIT_SIGNALS, Terminal, key_terminal
-from hostlink.cli.teleop_screen import QUIT_KEY, folded
+from hostlink.cli.teleop_screen import QUIT_KEY
+from hostlink.cli.top_screen import TopScreen
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError
-from hostlink.plain_text import plain
-
-_BOLD = "1"
 
 
 def command(
@@ -36,7 +34,10 @@ def command(
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
-    """Watch links and robots: rates, losses, ages and findings. Ends with q or Ctrl-C."""
+    """Watch robots and links: drivers, speeds, rates, losses, ages and findings. Ends with q or Ctrl-C.
+
+    Red: locked. Yellow: silent. Arrows, space and b scroll; s orders by name, state, speed or age.
+    """
     if once or json:
         asyncio.run(_print(url, token, interval, is_once=once, as_json=json))
     elif not (sys.stdin.isatty() and is_terminal()):
@@ -56,37 +57,43 @@ async def _print(url: str, token: str | None, interval_s: float, *, is_once: boo
 async def _show(url: str, token: str | None, interval_s: float) -> None:
     async with connected(url, token) as host:
         with key_terminal() as terminal:
-            _end_in_order(terminal)
+            top = _Top(terminal, TopScreen(url))
             async for shown in live_figures(host, interval_s):
-                draw(
-                    [(f"hostlink top   {url}   q or Ctrl-C ends", _BOLD), *((line, "") for line in screen_lines(shown))]
-                )
+                top.show(shown)
 
 
-def _end_in_order(terminal: Terminal) -> None:
-    """Cancel this task at a quit key or a signal, so that the terminal is restored. Ctrl-Z does nothing."""
-    loop, task, keys = asyncio.get_running_loop(), asyncio.current_task(), KeyReader()
-    assert task is not None  # noqa: S101 - a task runs this
+class _Top:
+    """Terminal of top: keys change the screen at once, and a quit key or a signal cancels this task.
 
-    def read() -> None:
-        data = os.read(terminal.input, 1024)
-        if not data or any(key.name in (*QUIT_KEYS, QUIT_KEY) for key in keys.feed(data)):
-            task.cancel()
+    So the terminal is restored. Ctrl-Z does nothing.
+    """
 
-    loop.add_reader(terminal.input, read)
-    for number in QUIT_SIGNALS:
-        loop.add_signal_handler(number, task.cancel)
-    loop.add_signal_handler(signal.SIGTSTP, lambda: None)
+    def __init__(self, terminal: Terminal, screen: TopScreen) -> None:
+        self._terminal, self._screen, self._keys = terminal, screen, KeyReader()
+        self._shown: dict[str, Any] | None = None
+        loop, task = asyncio.get_running_loop(), asyncio.current_task()
+        assert task is not None  # noqa: S101 - a task runs this
+        self._end = task.cancel
+        loop.add_reader(terminal.input, self._read)
+        for number in QUIT_SIGNALS:
+            loop.add_signal_handler(number, self._end)
+        loop.add_signal_handler(signal.SIGTSTP, lambda: None)
 
+    def show(self, shown: dict[str, Any]) -> None:
+        """Draw these figures, now and after each key."""
+        self._shown = shown
+        draw(self._screen.lines(shown, *terminal_size()))
 
-def screen_lines(shown: dict[str, Any]) -> list[str]:
-    """Lines of the screen below its title. The last one says how many do not fit."""
-    columns, room = terminal_size()[0] - 1, terminal_size()[1] - 1
-    whole = ["", *_lines(shown), *([] if advice(shown) else ["", "no findings"])]
-    lines = [part for line in whole for part in folded(plain(line), columns)]
-    if len(lines) <= room:
-        return lines
-    return [*lines[: room - 1], f"{len(lines) - room + 1} more lines; `hostlink top --once` prints them"]
+    def _read(self) -> None:
+        data = os.read(self._terminal.input, 1024)
+        keys = self._keys.feed(data)
+        if not data or any(key.name in (*QUIT_KEYS, QUIT_KEY) for key in keys):
+            self._end()
+            return
+        for key in keys:
+            self._screen.press(key)
+        if self._shown is not None:
+            self.show(self._shown)
 
 
 def _lines(shown: dict[str, Any]) -> list[str]:
@@ -94,4 +101,5 @@ def _lines(shown: dict[str, Any]) -> list[str]:
     links = table(LINK_COLUMNS, link_rows(shown), columns=columns)
     heads, rows = robot_table(shown)
     robots = table(heads, rows, columns=columns)
-    return [*(links[1:] or ["no device is connected"]), *robots, *(["", *advice(shown)] if advice(shown) else [])]
+    links = ["", *(links[1:] or ["no device is connected"])] if robots else links[1:] or ["no device is connected"]
+    return [*robots[1:], *links, *(["", *advice(shown)] if advice(shown) else [])]

@@ -40,7 +40,6 @@ from hostlink.cli.output import duration, is_terminal, quantity, show_progress, 
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.errors import ConfigError, HostlinkError, WrongType, size
 from hostlink.plain_text import csv_text
-from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 # -- services and types -----------------------------------------------------------------------------------------------
 
@@ -1013,7 +1012,7 @@ def unheard(topic: str, type_name: str, topics: Iterable[dict[str, Any]]) -> str
     ways = sorted((each["name"] for each in heard if each["velocity"] and each["type"] == type_name), key=natural)
     if ways:
         step = f"robots listen on: {listed(ways)}; `hostlink robots` lists the robots"
-    elif type_name in (TWIST_TYPE, TWIST_STAMPED_TYPE):
+    elif type_name in ("geometry_msgs/Twist", "geometry_msgs/TwistStamped"):
         step = f"no robot listens to a {type_name} now; `hostlink robots` lists the robots"
     else:
         names = similar(topic, (each["name"] for each in heard))

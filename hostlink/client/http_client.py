@@ -273,11 +273,18 @@ def _parts(url: str) -> SplitResult:
     """Raises:
     ConfigError: it is not an address.
     """
+    bare = url.lstrip(":")
     try:
         parts = urlsplit(url if "://" in url else f"http://{url}")
-        is_address = parts.scheme in _SCHEMES and bool((parts.hostname or "").encode("idna")) and parts.port != 0
+        is_address = (
+            parts.scheme in _SCHEMES
+            and not url.isdecimal()
+            and bool((parts.hostname or "").encode("idna"))
+            and parts.port != 0
+        )
     except ValueError:  # the port is not a number, brackets do not match, or a label of the name is empty or too long
         is_address = False
     if not is_address:
-        raise ConfigError("url", f"{url!r} is not an address of a hostlink: write it as http://HOST:{DEFAULT_PORT}")
+        example = f"127.0.0.1:{bare}" if bare.isdecimal() else f"HOST:{DEFAULT_PORT}"
+        raise ConfigError("url", f"{url!r} is not an address of a hostlink: write it as http://{example}")
     return parts

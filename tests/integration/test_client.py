@@ -302,6 +302,8 @@ async def test_a_token_with_the_end_of_a_line_is_told_so() -> None:
             "no hostlink at http://127.0.0.1:1: is `hostlink serve` running there? Nothing listens;",
         ),
         ("ftp://127.0.0.1", "url: 'ftp://127.0.0.1' is not an address of a hostlink: write it as http://HOST:9090"),
+        ("9191", "url: '9191' is not an address of a hostlink: write it as http://127.0.0.1:9191"),
+        (":9191", "url: ':9191' is not an address of a hostlink: write it as http://127.0.0.1:9191"),
         ("http://", "url: 'http://' is not an address of a hostlink"),
         ("127.0.0.1:909o", "url: '127.0.0.1:909o' is not an address of a hostlink"),
         ("http://[::1", "url: 'http://[::1' is not an address of a hostlink"),

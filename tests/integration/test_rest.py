@@ -33,3 +33,13 @@ async def test_the_page_and_its_files() -> None:
                 assert response.headers["Cache-Control"] == "no-store"
         async with host.session.get(host.url + "/") as response:
             assert "http" not in await response.text()  # the page loads nothing from other hosts
+
+
+async def test_a_request_of_a_wrong_path_or_method_is_told_the_next_step() -> None:
+    async with daemon() as host:
+        for path in ("/api", "/api/", "/api/robot", "/robots"):
+            status, answer = await host.rest("GET", path)
+            assert (status, answer["error"]["kind"]) == (404, "HTTP")
+            assert "; GET /api/openapi.json lists the requests" in answer["error"]["reason"]
+        status, answer = await host.rest("GET", "/api/robots/robot_0/stop")
+        assert (status, answer["error"]["reason"].rpartition("; ")[2]) == (405, "allowed: POST")

@@ -33,7 +33,7 @@ async def until(daemon: Process, *, driven: bool) -> None:
 )
 async def test_a_signal_in_a_drive_stops_the_robot(number: signal.Signals, status: int, tmp_path: Path) -> None:
     state = tmp_path / "state.json"
-    words = ("calibrate", "robot_0", *SMALL, "--state", str(state))
+    words = ("calibrate", *SMALL, "--state", str(state))  # of the only robot
     async with serve() as daemon, simulated(daemon.tcp):
         await daemon.read_log("robot.appeared")
         program = await asyncio.create_subprocess_exec(

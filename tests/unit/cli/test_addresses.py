@@ -12,6 +12,7 @@ from hostlink.errors import ConfigError
     [
         ("robot.local:11411", ("robot.local", 11411)),
         (":80", ("127.0.0.1", 80)),
+        ("11411", ("127.0.0.1", 11411)),
         ("[fe80::1%eth0]:80", ("fe80::1%eth0", 80)),
     ],
 )
@@ -33,3 +34,9 @@ def test_baud_rate_behind_a_colon_is_refused_with_the_right_form() -> None:
 def test_path_with_colons_is_a_port() -> None:
     path = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0"
     assert parse_serial(f"{path}@9600") == SerialConfig(path=path, baud=(9600,))
+
+
+@pytest.mark.parametrize("text", ["COM3", "com3", "/dev/ttyUSB0"])
+def test_a_serial_port_is_refused_as_an_address_with_its_option(text: str) -> None:
+    with pytest.raises(ConfigError, match="is not HOST:PORT; a serial port is --serial /dev/ttyUSB0"):
+        parse_address("--listen", text, "127.0.0.1")

@@ -11,14 +11,12 @@ from hypothesis import strategies as st
 from hostlink.cli.calibration_plan import (
     SavedCalibration,
     Sizes,
-    UnitMissing,
     checks_of,
     default_path,
     open_state,
-    parse_angle,
-    parse_length,
     steps_of,
 )
+from hostlink.cli.quantities import UnitMissing, parse_angle, parse_length
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry
 from hostlink.robot.kinematics import Pose

@@ -12,8 +12,9 @@ import pytest
 
 from hostlink.cli import calibration_session
 from hostlink.cli.calibrate import GuidedCalibration
-from hostlink.cli.calibration_plan import UNITS_M, SavedCalibration, Sizes, open_state
+from hostlink.cli.calibration_plan import SavedCalibration, Sizes, open_state
 from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show
+from hostlink.cli.quantities import UNITS_M
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import Calibration, WheelGeometry
 from hostlink.robot.course import CourseFollower, Leg, Speed

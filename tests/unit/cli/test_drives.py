@@ -3,13 +3,15 @@
 import time
 from collections.abc import Iterator
 from datetime import datetime, timedelta, timezone
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from hostlink.cli.local_time import offset, time_text, wall_text
 from hostlink.cli.output import table
-from hostlink.cli.record import HEADS, NEWEST, progress, row, write_newest
+from hostlink.cli.record import HEADS, NEWEST, _incidents, progress, row, write_newest
+from hostlink.client import Host
+from hostlink.errors import HostlinkError
 from hostlink.recording.folder import file_stamp
 
 NOW = datetime(2026, 11, 22, 12, tzinfo=timezone(timedelta(hours=1)))
@@ -87,3 +89,26 @@ def test_long_list_shows_the_newest_and_how_many_are_older(capsys: pytest.Captur
 def test_small_recording_has_its_size_in_kilobytes() -> None:
     view = {"seconds": 3.2, "messages": 1, "bytes": 17_234, "dropped": 0}
     assert progress(view) == "0:03  1 message  17.2 kB  0 dropped"
+
+
+class _Host:
+    """A host with two incidents of robots, and one more robot."""
+
+    async def get(self, _: str) -> dict[str, Any]:
+        return {"incidents": [{"robot": name, "file": f"{name}.mcap"} for name in ("mule", "donkey")], "pending": 0}
+
+    async def robots(self) -> list[dict[str, Any]]:
+        return [{"name": "horse"}]
+
+
+async def test_incidents_are_listed_of_one_robot() -> None:
+    host = cast("Host", _Host())
+    assert [each["robot"] for each in (await _incidents(host, None))["incidents"]] == ["mule", "donkey"]
+    assert [each["robot"] for each in (await _incidents(host, "/mule"))["incidents"]] == ["mule"]
+    assert (await _incidents(host, "horse"))["incidents"] == []
+    with pytest.raises(HostlinkError, match="there is no robot named mul; similar names: mule; `hostlink incidents`"):
+        await _incidents(host, "mul")
+    with pytest.raises(
+        HostlinkError, match=r"mule\.mcap is the file of an incident; `hostlink incidents NAME -o FILE`"
+    ):
+        await _incidents(host, "mule.mcap")

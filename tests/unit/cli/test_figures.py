@@ -14,7 +14,6 @@ from hostlink.cli.figures import (
     robot_table,
     speed_text,
 )
-from hostlink.cli.top import screen_lines
 
 FINDING = {"code": "damaged", "cause": "why", "next_step": "do", "detail": "3 of 4"}
 
@@ -98,22 +97,3 @@ def test_advice_is_about_links_ports_and_those_that_ended() -> None:
         "  next: do",
         "link 3 p ended: idle after 11 s, 4 s ago; damaged",
     ]
-
-
-def test_the_screen_of_top_says_how_many_lines_do_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = figures(sample(10.0), sample(12.0, *map(link, range(30))))
-    monkeypatch.setattr("hostlink.cli.top.terminal_size", lambda: (200, 12))
-    lines = screen_lines(shown)
-    assert len(lines) == 11
-    assert lines[-1] == "24 more lines; `hostlink top --once` prints them"
-    monkeypatch.setattr("hostlink.cli.top.terminal_size", lambda: (200, 60))
-    assert screen_lines(shown)[-1] == "no findings"
-    monkeypatch.setattr("hostlink.cli.top.terminal_size", lambda: (1, 60))
-    assert len(screen_lines(shown)) == 59
-
-
-def test_the_screen_of_top_shows_names_without_control_codes() -> None:
-    hostile = robot(name="\x1b]0;x\x07\x1b[2J")
-    lines = screen_lines(figures(sample(10.0), sample(12.0, link(), robots=[hostile])))
-    assert all(line.isprintable() for line in lines)
-    assert any("\\u001b]0;x" in line for line in lines)

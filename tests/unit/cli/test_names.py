@@ -49,7 +49,7 @@ def test_error_of_an_unknown_robot_lists_the_known_ones() -> None:
 
 
 def test_the_only_robot_that_is_connected_needs_no_name() -> None:
-    assert only_connected({"robot_0": False, "mule": True}, command="teleop") == "mule"
+    assert only_connected({"robot_0": False, "mule": True}, example="hostlink teleop {}") == "mule"
 
 
 @pytest.mark.parametrize(
@@ -73,5 +73,5 @@ def test_the_only_robot_that_is_connected_needs_no_name() -> None:
 )
 def test_without_one_connected_robot_the_error_says_what_to_do(robots: dict[str, bool], text: str) -> None:
     with pytest.raises(HostlinkError) as caught:
-        only_connected(robots, command="teleop")
+        only_connected(robots, example="hostlink teleop {}")
     assert str(caught.value) == text

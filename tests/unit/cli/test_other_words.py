@@ -15,6 +15,15 @@ from tests.support.documented import Documented
     [
         ("ls", "robots"),
         ("drive robot_0", "teleop robot_0"),
+        ("list topics -v", "topics -v"),
+        ("estop", "lock"),
+        ("-V", "--version"),
+        ("move robot_0 -0.3 --speed 0.1", "move robot_0 --speed 0.1 -- -0.3"),
+        ("turn -90deg", "turn -- -90deg"),
+        ("turn --json -90deg", "turn --json -- -90deg"),
+        ("turn --speed -1 robot_0 -.5turn", "turn --speed -1 robot_0 -- -.5turn"),
+        ("move robot_0 -- -0.3", "move robot_0 -- -0.3"),
+        ("move robot_0 0.3", "move robot_0 0.3"),
         ("start --serial /dev/ttyUSB0", "serve --serial /dev/ttyUSB0"),
         ("roscore", "serve"),
         ("teleop_twist_keyboard robot_0", "teleop --layout twist robot_0"),
@@ -116,9 +125,11 @@ def test_translations_exist() -> None:
 
 
 def test_options_that_hostlink_lacks_do_not_exist() -> None:
-    assert {subject for subject, _ in LACKING} <= {*ROS_GROUPS, *COMMANDS}
+    assert {subject for subject, _ in LACKING} <= {"", *ROS_GROUPS, *COMMANDS}
     for subject, option in LACKING:
-        if subject in COMMANDS:
+        if not subject:
+            assert option not in {*COMMANDS, *main.HABITS}
+        elif subject in COMMANDS:
             assert "No such option" in Documented("a table", (subject, option), is_complete=False).complaint()
         else:
             assert option not in ROS_GROUPS[subject]
@@ -129,6 +140,15 @@ def test_options_that_hostlink_lacks_do_not_exist() -> None:
     ("command", "text", "wanted"),
     [
         ("hz", "Got unexpected extra argument (/b)", "hz: one topic is measured at a time; run the command once for"),
+        (
+            "",
+            "No such command 'upload'.",
+            "upload: there is no such command; the Arduino IDE, arduino-cli or PlatformIO",
+        ),
+        ("", "No such option: -v", "-v: there is no such option; --version shows the version"),
+        ("serve", "No such option: --port", "serve: there is no option --port; a serial port is --serial /dev/ttyUSB0"),
+        ("robots", "No such option: --watch", "robots: there is no option --watch; `hostlink top` shows robots"),
+        ("teleop", "Got unexpected extra argument (0.2)", "teleop: the keys drive, and the speeds are options"),
         ("", "No such command 'topc'.", "topc: there is no such command; `hostlink --help` lists the commands"),
         (
             "",
