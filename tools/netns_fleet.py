@@ -33,7 +33,7 @@ from tools.crowd import TIME
 BIN = Path(sys.executable).parent
 CLONE_NEWNET = 0x40000000
 DEAF_S, STOPPED_S, AGAIN_S, IN_FORCE_S = 2.0, 1.0, 20.0, 3.0  # promised; the machine may be busy
-STOP_AFTER_S, WATCH_S, POLL_S, COMMAND_S, TIMEOUT_S = 4.0, 12.0, 0.25, 0.1, 60.0
+STOP_AFTER_S, WATCH_S, POLL_S, COMMAND_S, TIMEOUT_S = 4.0, 12.0, 0.5, 0.1, 180.0
 SPEED_M_S = 0.2
 API, DEVICES = "http://127.0.0.1:9090", ("127.0.0.1", 11411)
 

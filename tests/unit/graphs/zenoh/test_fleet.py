@@ -707,3 +707,12 @@ async def test_stop_that_is_repeated_is_answered_and_obeyed_once(scene: Scene) -
     answer = stop("1a")
     assert [each.name for each in answer.robots]
     assert robot.admission.epoch == stopped
+
+
+@inside(with_fleet)
+async def test_second_daemon_of_a_name_is_told(world: World) -> None:
+    with capture_logs() as logs:
+        world.network.note_token(Keys(ZenohConfig().fleet_name).key("alive", Sender("lab", "4d")), is_alive=True)
+        await asyncio.sleep(0.1)
+    found = [line for line in logs if line["event"] == "fleet.duplicate_host_found"]
+    assert [line["host"] for line in found] == ["lab", "lab"]  # at lab, and at desk
