@@ -110,12 +110,14 @@ class Host:
         return {each["name"] for each in robots if each["connected"]}
 
     def stopped_after_s(self, since_s: float) -> float:
-        """Seconds until the robot's last velocity of this time was zero; infinite if it is not."""
+        """Seconds until the robot's last velocity of this time was zero; infinite if it still moves."""
         moving = [at_s for at_s, speed in self.velocities if speed and at_s > since_s]
         zeros = [at_s for at_s, speed in self.velocities if not speed and at_s > since_s]
-        if not zeros or (moving and moving[-1] > zeros[-1]):
+        if not moving:
+            return 0.0  # it was at zero already, or is since the first one
+        if not zeros or moving[-1] > zeros[-1]:
             return float("inf")
-        first = next(at_s for at_s in zeros if not moving or at_s > moving[-1])
+        first = next(at_s for at_s in zeros if at_s > moving[-1])
         return first - since_s
 
     async def _be_robot(self) -> None:

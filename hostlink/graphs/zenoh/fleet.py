@@ -366,7 +366,7 @@ class Fleet:
             return
         names = ", ".join(map(printable, self._unheard))
         is_deaf = bool(self._unheard) and not any(each.is_alive for each in self._roster.all())
-        log.warning("fleet.hearing_changed", unheard=list(map(printable, self._unheard)), hears_nobody=is_deaf)
+        log.warning("fleet.hearing_changed", unheard=list(map(printable, self._unheard)), is_deaf=is_deaf)
         self._transport.counts["deaf"] += is_deaf
         if is_deaf:
             text = f"this host hears no other host of the fleet ({names} before): it may be cut off. {_UNHEARD}"
@@ -410,7 +410,7 @@ class Fleet:
             log.warning("fleet.duplicate_host_found", host=printable(sender.name), zid=printable(sender.zid))
             self._hub.rosout.warn(
                 "fleet",
-                f"two hosts of the fleet have the name {printable(sender.name)}: whoever may drive by that name may "
+                f"two hosts of the fleet have the name {printable(sender.name)}: a driver of that name may "
                 "drive from both; set zenoh.name to a different name on each",
             )
 
