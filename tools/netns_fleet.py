@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
+from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, pose, robot_topics
 from tools.crowd import TIME
 
@@ -122,21 +123,16 @@ class Host:
 
     async def _be_robot(self) -> None:
         while True:
-            with contextlib.suppress(OSError, EOFError):
+            with contextlib.suppress(OSError, EOFError, ExceptionGroup):
                 made = self._socket()
                 await asyncio.get_running_loop().sock_connect(made, DEVICES)
                 reader, writer = await asyncio.open_connection(sock=made)
                 device = FakeDevice(reader, writer)
                 await device.announce(robot_topics(self.robot))
-                async with asyncio.TaskGroup() as tasks:
-                    talking = tasks.create_task(self._talk(device))
-                    try:
-                        while True:
-                            twist = struct.unpack("<6d", await device.frame(100))
-                            self.velocities.append((now_s(), twist[0]))
-                    finally:
-                        talking.cancel()
-                        writer.close()
+                async with meanwhile(self._talk(device)):
+                    while True:
+                        twist = struct.unpack("<6d", await device.frame(100))
+                        self.velocities.append((now_s(), twist[0]))
             await asyncio.sleep(0.5)
 
     async def _talk(self, device: FakeDevice) -> None:
