@@ -11,6 +11,7 @@ import argparse
 import asyncio
 import contextlib
 import ctypes
+import functools
 import json
 import os
 import signal
@@ -241,7 +242,7 @@ async def all_seen(hosts: list[Host]) -> None:
     """Wait until each host shows every robot."""
     wanted = {host.robot for host in hosts}
     for host in hosts:
-        await until(lambda host=host: sees(host, wanted))
+        await until(functools.partial(sees, host, wanted))
 
 
 async def sees(host: Host, wanted: set[str]) -> bool:
