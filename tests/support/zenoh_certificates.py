@@ -30,7 +30,7 @@ def make_authority(folder: Path) -> Path:
     return certificate
 
 
-def make_certificate(folder: Path, name: str, address: str = "127.0.0.1") -> tuple[Path, Path]:
+def make_certificate(folder: Path, name: str, address: str = "127.0.0.1", *, days: str = "2") -> tuple[Path, Path]:
     """Certificate and key of the daemon of this name, signed by the authority in the folder."""
     request, certificate, key = (folder / f"{name}.{kind}" for kind in ("csr", "pem", "key"))
     names = folder / f"{name}.ext"
@@ -41,7 +41,7 @@ def make_certificate(folder: Path, name: str, address: str = "127.0.0.1") -> tup
     )  # fmt: skip
     _openssl(
         "x509", "-req", "-in", str(request), "-CA", str(folder / "ca.pem"), "-CAkey", str(folder / "ca.key"),
-        "-CAcreateserial", "-days", "2", "-extfile", str(names), "-out", str(certificate),
+        "-CAcreateserial", "-days", days, "-extfile", str(names), "-out", str(certificate),
     )  # fmt: skip
     return certificate, key
 

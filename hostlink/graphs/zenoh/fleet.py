@@ -366,7 +366,7 @@ class Fleet:
             return
         names = ", ".join(map(printable, self._unheard))
         is_deaf = bool(self._unheard) and not any(each.is_alive for each in self._roster.all())
-        log.warning("fleet.hearing_changed", unheard=list(map(printable, self._unheard)), hears_nobody=is_deaf)
+        log.warning("fleet.hearing_changed", unheard=list(map(printable, self._unheard)), is_deaf=is_deaf)
         self._transport.counts["deaf"] += is_deaf
         if is_deaf:
             text = f"this host hears no other host of the fleet ({names} before): it may be cut off. {_UNHEARD}"
@@ -401,6 +401,18 @@ class Fleet:
                 self._requests.greet()
                 log.info("fleet.daemon_appeared", host=printable(sender.name), zid=printable(sender.zid))
                 self._compare_name(sender)
+                self._compare_names(sender)
+
+    def _compare_names(self, sender: Sender) -> None:
+        """Warn of two daemons of one name: `drivers` and the holder of a robot name both of them."""
+        others = [self._transport.me, *(each.sender for each in self._roster.all())]
+        if any(other.name == sender.name and other != sender for other in others):
+            log.warning("fleet.duplicate_host_found", host=printable(sender.name), zid=printable(sender.zid))
+            self._hub.rosout.warn(
+                "fleet",
+                f"two hosts of the fleet have the name {printable(sender.name)}: a driver of that name may "
+                "drive from both; set zenoh.name to a different name on each",
+            )
 
     def _compare_name(self, sender: Sender) -> None:
         """Warn of a daemon whose name is not that of its certificate: access rules use the certificate."""

@@ -125,7 +125,8 @@ class FleetOrders:
 
     def tick(self, now_s: float) -> tuple[list[Order], list[StopRequest]]:
         """Return the orders that are overdue now, and the requests to repeat, each with its receivers."""
-        overdue, repeated = [], []
+        overdue: list[Order] = []
+        repeated: list[StopRequest] = []
         newest = {_kind(each.request): number for number, each in self._orders.items()}
         for number, each in list(self._orders.items()):
             if now_s > each.since_s + 2 * ANSWER_TIMEOUT_S and not each.is_overdue:

@@ -6,8 +6,10 @@ these defaults, and every program that reaches it can drive. With an authority (
 the only protocol, in both directions.
 """
 
+import contextlib
 import json
 import re
+import ssl
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -171,8 +173,40 @@ def warnings_of(settings: Any, config: ZenohConfig) -> Iterator[str]:
         )
         if "*" not in config.drivers:
             yield "zenoh.drivers without certificates keeps out nobody: a daemon has the name that it gives itself"
+    trouble = certificate_trouble(config)
+    if trouble:
+        yield f"zenoh.certificate {config.certificate}: {trouble}; no daemon of the fleet lets this one in"
     if _value(settings, "adminspace/enabled") and _value(settings, "adminspace/permissions/write"):
         yield f"zenoh.file {config.file}: adminspace lets whoever is connected change the settings of this session"
+
+
+def certificate_trouble(config: ZenohConfig) -> str:
+    """Return why other daemons do not let this one in by its certificate; empty if they do.
+
+    It is shown to itself, in memory: the key must be its own, the authority the one of `ca`, and the time right.
+    """
+    if config.ca is None or config.certificate is None or config.key is None:
+        return ""
+    ends = [(ssl.MemoryBIO(), ssl.MemoryBIO()) for _ in range(2)]
+    try:
+        server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        server.load_cert_chain(config.certificate, config.key)
+        client = ssl.create_default_context(cafile=str(config.ca))
+        client.check_hostname = False
+        shown = server.wrap_bio(ends[0][0], ends[0][1], server_side=True)
+        seen = client.wrap_bio(ends[1][0], ends[1][1])
+        for _ in range(4):  # flights of a handshake
+            for one, (_, sent), (received, _) in ((seen, ends[1], ends[0]), (shown, ends[0], ends[1])):
+                with contextlib.suppress(ssl.SSLWantReadError):
+                    one.do_handshake()
+                received.write(sent.read())
+    except ssl.SSLCertVerificationError as error:
+        return error.verify_message
+    except FileNotFoundError:  # Zenoh says so when it opens the session
+        return ""
+    except (OSError, ValueError) as error:
+        return printable(str(error), 200)
+    return ""
 
 
 def _secure(settings: Any, usual: Any, config: ZenohConfig) -> None:

@@ -70,7 +70,7 @@ async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:
 
 @pytest.mark.parametrize("path", ["/api/stop", "/api/robots/robot_7/stop", "/api/robots/robot_7/lock"])
 async def test_stop_or_lock_of_a_host_that_was_cut_off_is_503_and_in_force_when_it_is_seen_again(path: str) -> None:
-    """A program at the robot's own daemon drives on meanwhile, whatever it is answered."""
+    """A program at the robot's own daemon drives on meanwhile and ignores refusals."""
     async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")) as device:
         await shown(b, "robot_7")
         program = a.hub.join("program")

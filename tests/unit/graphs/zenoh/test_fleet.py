@@ -543,7 +543,7 @@ class Cut:
 
 @contextlib.asynccontextmanager
 async def driven_at_lab(world: World) -> AsyncIterator[LocalRobot]:
-    """A program at the robot's own daemon drives it, whatever it is answered."""
+    """A program at the robot's own daemon drives it and ignores refusals."""
     robot = world.scene.hub.robots.find(ROBOT)
     assert isinstance(robot, LocalRobot)
 
@@ -655,7 +655,7 @@ async def test_lock_for_a_host_out_of_sight_holds_for_its_robot_here(world: Worl
 
 @inside(with_fleet)
 async def test_program_that_sees_no_answers_drives_no_robot_of_another_host(world: World) -> None:
-    """The daemon of the program is deaf: its commands arrive, and nobody there sees what the robot does."""
+    """The daemon of the program is deaf: its commands arrive, and no user there sees what the robot does."""
     await world.drive()
     world.network.deaf.add("2b")
     refusals: list[str] = []
@@ -673,7 +673,7 @@ async def test_program_that_sees_no_answers_drives_no_robot_of_another_host(worl
 
 
 @inside(with_fleet)
-async def test_daemon_that_hears_nobody_tells_its_users(world: World) -> None:
+async def test_daemon_that_hears_no_other_tells_its_users(world: World) -> None:
     told: list[str] = []
     rosout = world.desk.topics.find("/rosout")
     world.program.subscribe("/rosout", lambda message: told.append(rosout.type.decode(message.payload)["msg"]))
@@ -707,3 +707,12 @@ async def test_stop_that_is_repeated_is_answered_and_obeyed_once(scene: Scene) -
     answer = stop("1a")
     assert [each.name for each in answer.robots]
     assert robot.admission.epoch == stopped
+
+
+@inside(with_fleet)
+async def test_second_daemon_of_a_name_is_told(world: World) -> None:
+    with capture_logs() as logs:
+        world.network.note_token(Keys(ZenohConfig().fleet_name).key("alive", Sender("lab", "4d")), is_alive=True)
+        await asyncio.sleep(0.1)
+    found = [line for line in logs if line["event"] == "fleet.duplicate_host_found"]
+    assert [line["host"] for line in found] == ["lab", "lab"]  # at lab, and at desk

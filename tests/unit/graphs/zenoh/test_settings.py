@@ -8,7 +8,8 @@ import pytest
 
 from hostlink.config import Config, ZenohConfig, load
 from hostlink.errors import ConfigError
-from hostlink.graphs.zenoh.settings import reach_of, reason_of, settings_of, warnings_of
+from hostlink.graphs.zenoh.settings import certificate_trouble, reach_of, reason_of, settings_of, warnings_of
+from tests.support.zenoh_certificates import make_authority, make_certificate
 
 
 def write(folder: Path, text: str) -> Path:
@@ -201,3 +202,19 @@ def test_a_reason_of_zenoh_is_short() -> None:
 
 def test_the_parts_of_a_configuration_stay_what_they_are(tmp_path: Path) -> None:
     assert load(write(tmp_path, "[zenoh]\nfleet = false\n")) == Config(zenoh=ZenohConfig(fleet=False))
+
+
+@pytest.mark.parametrize(
+    ("days", "is_own", "trouble"),
+    [("2", True, ""), ("-1", True, "certificate has expired"), ("2", False, "unable to get local issuer certificate")],
+)
+def test_certificate_that_no_daemon_lets_in_is_told(tmp_path: Path, days: str, trouble: str, *, is_own: bool) -> None:
+    ca = make_authority(tmp_path)
+    certificate, key = make_certificate(tmp_path, "desk", days=days)
+    if not is_own:
+        (tmp_path / "other").mkdir()
+        ca = make_authority(tmp_path / "other")
+    config = ZenohConfig(ca=ca, certificate=certificate, key=key)
+    assert certificate_trouble(config) == trouble
+    warnings = [warning for warning in warnings_of(settings_of(config), config) if "lets this one in" in warning]
+    assert len(warnings) == (trouble != "")
