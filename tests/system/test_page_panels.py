@@ -308,7 +308,8 @@ async def test_the_knob_of_the_stick_covers_no_text(browser: Browser) -> None:
             await tab.page.keyboard.up(key)
 
 
-CUT = """texts => texts.filter((text) => text.scrollWidth > text.clientWidth || text.scrollHeight > text.clientHeight + 1)
+CUT = """texts => texts
+  .filter((text) => text.scrollWidth > text.clientWidth || text.scrollHeight > text.clientHeight + 1)
   .map((text) => text.textContent)"""
 
 
@@ -379,3 +380,32 @@ async def test_a_red_notice_of_a_phone_is_not_close_to_the_red_stop(browser: Bro
         notice, stop = await box(tab, "#notice"), await box(tab, "#stop")
         assert stop["top"] - notice["bottom"] >= 8
         assert (await box(tab, "#joystick"))["top"] == before["top"]
+
+
+async def test_times_have_their_offset_and_drivers_are_named_for_people(browser: Browser) -> None:
+    chrome = "Mozilla/5.0 (X11; Linux x86_64) AppleWebKit/537.36 (KHTML, like Gecko) Chrome/156.0 Safari/537.36"
+    client = {"name": "client 3", "kind": "websocket", "peer": "10.0.0.5", "role": "drive", "program": chrome}
+    ended = {
+        "robot": "robot_0",
+        "owner": "rest 10.0.0.7",
+        "address": "10.0.0.7",
+        "priority": 50,
+        "began": "2026-07-22T07:43:29.123+00:00",
+        "ended": "2026-07-22T07:44:42.000+00:00",
+        "seconds": 72.9,
+        "commands": 700,
+        "fastest_m_s": 0.3,
+        "fastest_rad_s": 1.5,
+        "end": "owner left",
+    }
+    async with page_server() as server, visit(browser, server.url, timezone_id="Asia/Kolkata") as tab:
+        state = fleet(1, holder="client 3", holder_address="10.0.0.5")
+        state.clients = [{**client, "seconds": 9.0, "lag_s": 0.0, "dropped": 0}]
+        state.drives = [ended]
+        server.show(state)
+        await tab.shows("#drive-state", "Chrome (client 3, 10.0.0.5) drives: your stick takes over")
+        await tab.shows("#log", "times at +05:30")
+        await tab.layout("Watch")
+        await tab.shows("#drives li", "a REST request from 10.0.0.7")
+        await tab.shows("#drives li", "13:13:29 +05:30")
+        await tab.shows("#drives li", "ended: its program disconnected")

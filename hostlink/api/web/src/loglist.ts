@@ -3,6 +3,7 @@
 import { make } from "./dom";
 import type { PastLine } from "./past";
 import { clock, type Timeline } from "./timeline";
+import { dateText } from "./times";
 
 const MAX_LINES = 500;
 const LEVELS: Record<number, string> = { 1: "debug", 2: "info", 4: "warn", 8: "error", 16: "fatal" };
@@ -107,7 +108,13 @@ export class LogList {
     const name = LEVELS[level] ?? "info";
     const time = this.places > 0 ? this.timeline.label(time_s, this.places) : clock(time_s);
     const what = make("span", {}, ...(robot === "" ? [] : [make("i", {}, robot), " "]), text);
-    const element = make("li", { class: name }, make("time", {}, time), make("b", {}, name), what);
+    const element = make(
+      "li",
+      { class: name },
+      make("time", { title: dateText(new Date(1000 * time_s)) }, time),
+      make("b", {}, name),
+      what,
+    );
     element.addEventListener("click", () => {
       this.timeline.pause();
       this.timeline.point(time_s);

@@ -18,6 +18,7 @@ interface TopicView {
   publishers: number;
   subscribers: number;
   messages: number;
+  is_derived?: boolean; // hostlink publishes it, and mostly only while it has subscribers
 }
 
 interface Row {
@@ -100,12 +101,14 @@ class Topics {
     setText(this.state, `${found.length} topic${found.length === 1 ? "" : "s"}${more}`);
   }
 
-  private rate({ name, publishers }: TopicView): string {
+  private rate({ name, publishers, subscribers, is_derived = false }: TopicView): string {
     const counts = this.counts.get(name) ?? [];
     const [first, last] = [counts[0], counts.at(-1)];
     if (!first || !last || last.time_ms === first.time_ms) return "";
     const rate = (1000 * (last.messages - first.messages)) / (last.time_ms - first.time_ms);
-    return rate > 0 ? `${digits(rate, 1)} Hz` : publishers === 0 ? "no publisher" : "silent";
+    if (rate > 0) return `${digits(rate, 1)} Hz`;
+    if (publishers === 0) return "no publisher";
+    return is_derived && subscribers === 0 ? "on demand" : "silent";
   }
 
   private makeRow(name: string): Row {
