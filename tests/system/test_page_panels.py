@@ -9,7 +9,7 @@ from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
 from tests.support.browser import PHONE, Visit, visit
-from tests.support.page_server import PageServer, State, link, page_server, robot
+from tests.support.page_server import PageServer, State, link, page_server, robot, topic_view
 from tests.support.waiting import expect, expect_never
 
 pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.long]
@@ -409,3 +409,16 @@ async def test_times_have_their_offset_and_drivers_are_named_for_people(browser:
         await tab.shows("#drives li", "a REST request from 10.0.0.7")
         await tab.shows("#drives li", "13:13:29 +05:30")
         await tab.shows("#drives li", "ended: its program disconnected")
+
+
+async def test_a_topic_that_hostlink_publishes_on_demand_is_not_called_silent(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, viewport=LAPTOP) as tab:
+        state = fleet(1)
+        state.topics = [
+            topic_view("/tf", "tf2_msgs/TFMessage", subscribers=0, is_derived=True),
+            topic_view("/robot_0/odom", "nav_msgs/Odometry", subscribers=1, is_derived=True),
+        ]
+        server.show(state)
+        await tab.layout("Watch")
+        rates = tab.page.locator("#topics .rate")
+        await expect_page(rates).to_have_text(["silent", "on demand", "silent"])
