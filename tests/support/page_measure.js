@@ -108,9 +108,11 @@
   if (document.body.dataset.layout === "Drive") {
     const main = document.querySelector("main").getBoundingClientRect();
     const needed = ["#stop", "#stop-all:not([hidden])", "#robots .robot:has(:checked)", "#joystick", "#map-canvas", "#link .tiles", "#status"];
+    const isWaiting = document.querySelector("#robots .empty").checkVisibility();
     for (const selector of needed) {
       const element = document.querySelector(selector);
-      if (element === null) continue; // no robot
+      const isStickless = isWaiting && !element?.checkVisibility(); // on a phone, what to do without a robot has the place
+      if (element === null || isStickless) continue;
       const rect = element.getBoundingClientRect();
       const shown = visible(element, rect);
       const isWhole = shown && shown.bottom - shown.top > rect.height - 2 && shown.right - shown.left > Math.min(rect.width, innerWidth) - 8;
@@ -119,7 +121,7 @@
       }
     }
     const map = document.querySelector("#map-canvas").getBoundingClientRect();
-    if (map.width < 150 || map.height < 90) found.push(`the map is small: ${map.width}x${map.height}`);
+    if (!isWaiting && (map.width < 150 || map.height < 90)) found.push(`the map is small: ${map.width}x${map.height}`);
   }
 
   // contrast AA

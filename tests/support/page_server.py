@@ -36,6 +36,7 @@ class State:
     past: list[dict[str, Any]] = field(default_factory=list)  # where each robot drove before the page was opened
     past_events: list[dict[str, Any]] = field(default_factory=list)  # of each robot, before the page was opened
     log: list[dict[str, Any]] = field(default_factory=list)  # lines that each page receives
+    topics: list[dict[str, Any]] = field(default_factory=list)  # beside the odometry of robot_0
     incidents: list[dict[str, Any]] = field(default_factory=list)  # each with `past` and `past_events`
     role: str = "drive"
     refusal: str = ""  # of every request that changes something
@@ -188,6 +189,10 @@ class PageServer:
     def _past(self) -> dict[str, Any]:
         return {"poses": self._state.past, "plot_data": [], "events": self._state.past_events}
 
+    async def _topics(self, _: web.Request) -> web.Response:
+        odometry = topic_view("/robot_0/odometry", "geometry_msgs/Pose2D")
+        return web.json_response({"topics": [odometry, *self._state.topics]})
+
     async def _incidents(self, _: web.Request) -> web.Response:
         return web.json_response({"incidents": self._state.incidents, "missed": 0, "folder": ""})
 
@@ -227,7 +232,7 @@ class PageServer:
         application.router.add_get("/api/recordings", _recordings)
         application.router.add_get("/api/listening", self._listening)
         application.router.add_get("/api/diagnosis", self._diagnosis)
-        application.router.add_get("/api/topics", _topics)
+        application.router.add_get("/api/topics", self._topics)
         application.router.add_post("/api/{path:.*}", self._change)
         application.on_shutdown.append(self._end)
         return application
@@ -237,15 +242,9 @@ async def _recordings(_: web.Request) -> web.Response:
     return web.json_response({"recordings": [], "files": [], "folder": ""})
 
 
-async def _topics(_: web.Request) -> web.Response:
-    view = {
-        "name": "/robot_0/odometry",
-        "type": "geometry_msgs/Pose2D",
-        "publishers": 1,
-        "subscribers": 1,
-        "messages": 9,
-    }
-    return web.json_response({"topics": [view]})
+def topic_view(name: str, kind: str, **changes: Any) -> dict[str, Any]:
+    """Return a topic with one publisher and one subscriber, on which nothing new is published."""
+    return {"name": name, "type": kind, "publishers": 1, "subscribers": 1, "messages": 9, **changes}
 
 
 async def _send(response: web.StreamResponse, name: str, value: object) -> None:

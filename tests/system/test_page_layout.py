@@ -594,7 +594,7 @@ async def test_present_and_past_drivers_are_shown_with_their_address(browser: Br
         await tab.shows("#drives li:nth-child(1)", "client 12 (phone, 192.168.100.105)")
         await tab.shows("#drives li:nth-child(1)", "for 1 min")
         await tab.shows("#drives li:nth-child(1)", "up to 0.34 m/s, 1.50 rad/s; ended: locked: somebody stands")
-        await tab.shows("#drives li:nth-child(2)", "rest 192.168.100.105robot_0")
+        await tab.shows("#drives li:nth-child(2)", "a REST request from 192.168.100.105robot_0")
         state = fleet(1, holder="demo")
         state.drives = [drive("demo", address="", end="")]
         server.show(state)

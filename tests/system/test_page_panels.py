@@ -9,7 +9,7 @@ from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
 from tests.support.browser import PHONE, Visit, visit
-from tests.support.page_server import PageServer, State, link, page_server, robot
+from tests.support.page_server import PageServer, State, link, page_server, robot, topic_view
 from tests.support.waiting import expect, expect_never
 
 pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.long]
@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.long]
 LAPTOP = {"width": 1366, "height": 768}
 WIDE = {"width": 1920, "height": 1080}
 TABLETS = ({"width": 768, "height": 1024}, {"width": 1024, "height": 768})
-STICK_PX = 75  # from its middle to its edge
+STICK_PX = 51  # from its middle to where the knob is drawn at full speed
 GAMEPAD = """
   window.pad = { connected: true, axes: [0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
   navigator.getGamepads = () => [window.pad];
@@ -236,7 +236,7 @@ async def test_keys_and_gamepad_move_the_knob_of_the_stick(browser: Browser) -> 
         await tab.page.mouse.move(x, y)
         await tab.page.mouse.down()
         await tab.page.mouse.move(x + 40, y, steps=2)
-        await is_at(40, 0)
+        await is_at(40 * 0.68, 0)
         await tab.page.mouse.up()
         await is_at(0, 0)
 
@@ -266,3 +266,159 @@ async def test_panels_show_the_age_of_their_values_while_the_daemon_is_gone(brow
         server.show(fleet())
         await expect_page(tab.page.locator("#link .age")).to_be_empty(timeout=15_000)
         await tab.shows("#link [data-tile=device]", "4 ms")
+
+
+async def test_the_log_keeps_its_newest_line_in_view_in_every_layout(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, viewport=LAPTOP) as tab:
+        state = fleet(1)
+        state.log = [
+            {"header": {"stamp": {"secs": 0}}, "level": 2, "name": "robot_0", "msg": f"line {number}"}
+            for number in range(60)
+        ]
+        server.show(state)
+        await tab.shows("#log", "line 59")
+        for step in ("Watch", "Tune", "Drive", "folded", "unfolded", "alone", "beside others", "Watch"):
+            if step in ("folded", "unfolded"):
+                await tab.page.get_by_role("button", name="Log", exact=True).click()
+            elif step in ("alone", "beside others"):
+                await tab.page.get_by_role("button", name="Log: maximise").click()
+            else:
+                await tab.layout(step)
+            if step not in ("Tune", "folded"):
+                await expect_page(tab.page.locator("#log li").last).to_be_in_viewport()
+        locked = fleet(1, locked=True, lock_reason="a cable")
+        server.show(locked)
+        await expect_page(tab.page.locator("#log li", has_text="locked: a cable")).to_be_in_viewport()
+        await tab.page.locator("#log [role=log]").evaluate("box => { box.scrollTop = 0; }")
+        server.show(fleet(1))
+        await tab.shows("#log", "unlocked")
+        await expect_page(tab.page.locator("#log li").last).not_to_be_in_viewport()  # somebody reads earlier lines
+
+
+async def test_the_knob_of_the_stick_covers_no_text(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, viewport=LAPTOP) as tab:
+        server.show(fleet(1))
+        await tab.shows("#drive-state", "no driver")
+        ground = await box(tab, "#joystick svg")
+        for key in ("ArrowUp", "ArrowDown"):
+            await tab.page.keyboard.down(key)
+            await tab.until("() => document.querySelector('#joystick .front').style.translate !== '0px'")
+            knob = await box(tab, "#joystick .front")
+            assert ground["top"] - 4 < knob["top"] < knob["bottom"] < ground["bottom"] + 4
+            await tab.page.keyboard.up(key)
+
+
+CUT = """texts => texts
+  .filter((text) => text.scrollWidth > text.clientWidth || text.scrollHeight > text.clientHeight + 1)
+  .map((text) => text.textContent)"""
+
+
+async def test_fleet_has_heads_and_does_not_cut_a_reason_beside_free_room(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, viewport=LAPTOP) as tab:
+        state = fleet(3)
+        state.robots[1] |= {"locked": True, "lock_reason": "somebody stands in front of the third bench"}
+        server.show(state)
+        await tab.layout("Fleet")
+        await tab.shows("#robots .heads", "RobotStateSpeedPoses, WiFi")  # none of them measures a battery
+        for part in ("b", ".what"):
+            assert await tab.page.locator(f"#robots .robot {part}").evaluate_all(CUT) == []
+        heads, states = (
+            await box(tab, "#robots .heads :nth-child(2)"),
+            await box(tab, "#robots .robot:first-child .what"),
+        )
+        assert heads["left"] == pytest.approx(states["left"], abs=1)
+
+
+async def test_a_folded_map_is_its_bar_alone(browser: Browser) -> None:
+    async with page_server() as server:
+        server.show(fleet(1))
+        for viewport in (LAPTOP, PHONE):
+            async with visit(browser, server.url, viewport=viewport) as tab:
+                await tab.shows("#drive-state", "no driver")
+                await tab.page.get_by_role("button", name="Map", exact=True).click()
+                assert (await box(tab, "#map"))["height"] <= (await box(tab, "#map .bar"))["height"] + 3
+
+
+async def test_a_phone_counts_robots_in_trouble_beside_its_strip(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, viewport=PHONE) as tab:
+        state = fleet(5)
+        server.show(state)
+        await tab.shows("#robots .robot:nth-child(5)", "robot_4")
+        await expect_page(tab.page.locator("#robots-counts button:visible")).to_have_count(0)
+        state.robots[3] |= {"locked": True, "lock_reason": "a cable"}
+        server.show(state)
+        count = tab.page.locator("#robots-counts button:visible")
+        await expect_page(count).to_have_text(["1 locked"])
+        assert await tab.faults() == []
+        await count.click()
+        await expect_page(tab.page.locator("#robots .robot", has_text="robot_3")).to_be_in_viewport(ratio=0.9)
+
+
+async def test_a_phone_without_a_robot_shows_all_of_what_to_do(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, viewport=PHONE) as tab:
+        state = State()
+        state.listening["tcp"] = {"host": "0.0.0.0", "port": 11411}
+        server.show(state)
+        await tab.shows("#robots .boards", "STM32 or another UART")
+        empty = await box(tab, "#robots .empty")
+        assert empty["seen"] == empty["height"] > 300
+        assert await tab.page.locator("#robots .empty").evaluate("box => box.scrollHeight <= box.clientHeight + 1")
+        await expect_page(tab.page.locator("#joystick")).to_be_hidden()
+        server.show(fleet(1))
+        await expect_page(tab.page.locator("#joystick")).to_be_in_viewport()
+
+
+async def test_a_red_notice_of_a_phone_is_not_close_to_the_red_stop(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, viewport=PHONE) as tab:
+        server.show(fleet(2))
+        await tab.shows("#drive-state", "no driver")
+        before = await box(tab, "#joystick")
+        lost = fleet(2)
+        lost.is_lost = True
+        server.show(lost)
+        await tab.shows("#notice", "hostlink does not answer")
+        notice, stop = await box(tab, "#notice"), await box(tab, "#stop")
+        assert stop["top"] - notice["bottom"] >= 8
+        assert (await box(tab, "#joystick"))["top"] == before["top"]
+
+
+async def test_times_have_their_offset_and_drivers_are_named_for_people(browser: Browser) -> None:
+    chrome = "Mozilla/5.0 (X11; Linux x86_64) AppleWebKit/537.36 (KHTML, like Gecko) Chrome/156.0 Safari/537.36"
+    client = {"name": "client 3", "kind": "websocket", "peer": "10.0.0.5", "role": "drive", "program": chrome}
+    ended = {
+        "robot": "robot_0",
+        "owner": "rest 10.0.0.7",
+        "address": "10.0.0.7",
+        "priority": 50,
+        "began": "2026-07-22T07:43:29.123+00:00",
+        "ended": "2026-07-22T07:44:42.000+00:00",
+        "seconds": 72.9,
+        "commands": 700,
+        "fastest_m_s": 0.3,
+        "fastest_rad_s": 1.5,
+        "end": "owner left",
+    }
+    async with page_server() as server, visit(browser, server.url, timezone_id="Asia/Kolkata") as tab:
+        state = fleet(1, holder="client 3", holder_address="10.0.0.5")
+        state.clients = [{**client, "seconds": 9.0, "lag_s": 0.0, "dropped": 0}]
+        state.drives = [ended]
+        server.show(state)
+        await tab.shows("#drive-state", "Chrome (client 3, 10.0.0.5) drives: your stick takes over")
+        await tab.shows("#log", "times at +05:30")
+        await tab.layout("Watch")
+        await tab.shows("#drives li", "a REST request from 10.0.0.7")
+        await tab.shows("#drives li", "13:13:29 +05:30")
+        await tab.shows("#drives li", "ended: its program disconnected")
+
+
+async def test_a_topic_that_hostlink_publishes_on_demand_is_not_called_silent(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, viewport=LAPTOP) as tab:
+        state = fleet(1)
+        state.topics = [
+            topic_view("/tf", "tf2_msgs/TFMessage", subscribers=0, is_derived=True),
+            topic_view("/robot_0/odom", "nav_msgs/Odometry", subscribers=1, is_derived=True),
+        ]
+        server.show(state)
+        await tab.layout("Watch")
+        rates = tab.page.locator("#topics .rate")
+        await expect_page(rates).to_have_text(["silent", "on demand", "silent"])

@@ -1,5 +1,6 @@
 /** The drive panel: sends velocity commands for held controls, and shows why the robot cannot be driven. */
 
+import { driverText } from "./clients";
 import type { Connection, DriveAnswer } from "./connection";
 import { ageText, digits, find, remember, remembered, setText } from "./dom";
 import { type Deflection, Driving, type Source, TICK_MS } from "./driving";
@@ -7,7 +8,7 @@ import type { Fleet } from "./fleet";
 import { connectGamepad } from "./gamepad";
 import { connectJoystick, isStickShown } from "./joystick";
 import { connectKeys, LOST } from "./keys";
-import { named, type RobotView, type Velocity } from "./views";
+import { type RobotView, type Velocity } from "./views";
 
 const TELEOP_PRIORITY = 60; // above the 50 of programs
 const UNANSWERED_MS = 250; // without an answer for this time nothing more is sent: commands would arrive late
@@ -58,7 +59,7 @@ export class Drive {
   driver(robot: RobotView): string | null {
     if (robot.holder === null) return null;
     const isMine = robot.name === this.target?.name && performance.now() - this.droveAt < AFTERGLOW_MS;
-    return isMine && !this.isRefused ? "you" : named(robot.holder, robot.holder_address);
+    return isMine && !this.isRefused ? "you" : driverText(robot.holder, robot.holder_address);
   }
 
   /**

@@ -1,10 +1,12 @@
 /** The panel of the drive history: driver, times and reason of the end, the newest first. */
 
 import "./style/recordings.css";
+import { driverText } from "./clients";
 import { ageText, digits, make, setText } from "./dom";
 import type { Page } from "./page";
 import { reasonOf, rest } from "./rest";
-import { type DriveView, named } from "./views";
+import { dateText } from "./times";
+import { type DriveView, reasonText } from "./views";
 
 const MAX_SHOWN = 50;
 const PATH = `api/drives?limit=${MAX_SHOWN}`;
@@ -58,10 +60,10 @@ class Drives {
 
 function makeItem(drive: DriveView): HTMLElement {
   const { robot, owner, address, began, seconds, fastest_m_s, fastest_rad_s, end } = drive;
-  const when = new Date(began).toLocaleString([], { hour12: false });
-  const title = make("span", { class: "what" }, make("b", {}, named(owner, address)), make("i", {}, robot));
+  const when = dateText(new Date(began));
+  const title = make("span", { class: "what" }, make("b", {}, driverText(owner, address)), make("i", {}, robot));
   const time = make("time", { datetime: began }, end === "" ? `since ${when}` : `${when}, for ${ageText(seconds)}`);
   const fastest = `up to ${digits(fastest_m_s, 2)} m/s, ${digits(fastest_rad_s, 2)} rad/s`;
-  const why = end === "" ? make("span", { class: "still" }, DRIVES) : `ended: ${end}`;
+  const why = end === "" ? make("span", { class: "still" }, DRIVES) : `ended: ${reasonText(end)}`;
   return make("li", {}, title, time, make("span", { class: "detail" }, `${fastest}; `, why));
 }

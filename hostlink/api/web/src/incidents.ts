@@ -6,6 +6,7 @@ import { makeDownload } from "./download";
 import type { Page } from "./page";
 import { reasonOf, rest } from "./rest";
 import { causeInWords, StoredWindow } from "./stored";
+import { dateText, timeText } from "./times";
 import type { IncidentCounts, IncidentView } from "./views";
 import { bytes, makeButton } from "./widgets";
 
@@ -68,13 +69,13 @@ class Incidents {
     const { robot, cause, detail, at, file } = incident;
     const words = causeInWords(cause);
     const when = new Date(at);
-    const time = make("time", { datetime: at }, when.toLocaleString([], { hour12: false }));
+    const time = make("time", { datetime: at }, dateText(when));
     const title = make("span", { class: "what" }, make("b", {}, words), " ", make("i", {}, robot), " ", time);
     const item = make("li", { "data-cause": cause }, title, " ", make("span", { class: "detail" }, detail), " ");
     if (file === "") item.append(make("em", {}, "being saved, with the half minute after the incident"));
     else {
       const open = makeButton("Open", () => void this.window.openIncident(incident, open), {
-        "aria-label": `Open ${words} of ${robot} at ${when.toLocaleTimeString([], { hour12: false })}`,
+        "aria-label": `Open ${words} of ${robot} at ${timeText(when)}`,
         title: bytes(incident.bytes),
       });
       item.append(make("span", { class: "actions" }, open, makeDownload(`${PATH}/${encodeURIComponent(file)}`, file)));

@@ -1,10 +1,11 @@
 /** The log panel: log lines of all devices and events of robots, filtered by level and words. */
 
-import { find, make } from "./dom";
+import { find, make, setText } from "./dom";
 import { LogList } from "./loglist";
 import { makeField } from "./widgets";
 import type { PastLine } from "./past";
 import { now_s, type Timeline } from "./timeline";
+import { offsetOf } from "./times";
 import type { LogLine, RobotView } from "./views";
 
 const [INFO, WARNING] = [2, 4];
@@ -28,7 +29,9 @@ export class DeviceLog {
     words.addEventListener("input", filter);
     const controls = make("div", { class: "filters" }, makeField("Level", level), makeField("Filter", words));
     const hint = make("p", { class: "hint" }, "No log lines yet.");
-    find("#log").append(controls, this.lines.box, hint);
+    const zone = make("span", { class: "hint", "data-bar": "", title: "Local time of this computer" });
+    setText(zone, `times at ${offsetOf(new Date())}`);
+    find("#log").append(zone, controls, this.lines.box, hint);
   }
 
   add(line: LogLine): void {

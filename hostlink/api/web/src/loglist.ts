@@ -3,6 +3,7 @@
 import { make } from "./dom";
 import type { PastLine } from "./past";
 import { clock, type Timeline } from "./timeline";
+import { dateText } from "./times";
 
 const MAX_LINES = 500;
 const LEVELS: Record<number, string> = { 1: "debug", 2: "info", 4: "warn", 8: "error", 16: "fatal" };
@@ -20,6 +21,7 @@ export class LogList {
   private items: Item[] = [];
   private level = 0;
   private words = "";
+  private isFollowing = true; // the newest line stays in view until the user scrolls away from it
 
   constructor(
     private readonly timeline: Timeline,
@@ -29,6 +31,14 @@ export class LogList {
     this.box = make("div", { role: "log", "aria-label": name, tabindex: "0" }, this.list);
     this.box.hidden = true;
     timeline.onChange(() => this.showInstant());
+    const { box } = this;
+    box.addEventListener("scroll", () => {
+      if (timeline.cursor_s === null && box.clientHeight > 0) {
+        this.isFollowing = box.scrollHeight - box.scrollTop - box.clientHeight < NEAR_END_PX;
+      }
+    });
+    new ResizeObserver(() => this.follow()).observe(box);
+    addEventListener("resize", () => this.follow()); // also after another layout: what is moved forgets where it was
   }
 
   get count(): number {
@@ -36,14 +46,21 @@ export class LogList {
   }
 
   add(line: PastLine): void {
-    const { box } = this;
-    const isAtEnd = box.scrollHeight - box.scrollTop - box.clientHeight < NEAR_END_PX;
     const item = this.make(line);
     this.items.push(item);
     this.list.append(item.element);
     while (this.items.length > MAX_LINES) this.items.shift()?.element.remove();
-    box.hidden = false;
-    if (isAtEnd && this.timeline.isLive) box.scrollTop = box.scrollHeight;
+    this.box.hidden = false;
+    this.follow();
+  }
+
+  private follow(): void {
+    if (this.isFollowing && this.timeline.cursor_s === null && !this.timeline.isStored) this.toEnd();
+  }
+
+  private toEnd(): void {
+    this.isFollowing = true;
+    this.box.scrollTop = this.box.scrollHeight;
   }
 
   /** Add earlier lines, the oldest first. */
@@ -55,7 +72,7 @@ export class LogList {
     this.items = [...older, ...this.items].sort((one, other) => one.time_s - other.time_s).slice(-MAX_LINES);
     this.list.replaceChildren(...this.items.map(({ element }) => element));
     this.box.hidden = this.items.length === 0;
-    this.box.scrollTop = this.box.scrollHeight;
+    this.toEnd();
   }
 
   /** `level`: lowest level; `words`: text in a line, ignoring case. */
@@ -63,7 +80,7 @@ export class LogList {
     this.level = level;
     this.words = words.toLowerCase();
     for (const item of this.items) item.element.hidden = !this.isWanted(item);
-    this.box.scrollTop = this.box.scrollHeight;
+    this.toEnd();
   }
 
   private isWanted({ level, robot, text }: PastLine): boolean {
@@ -83,6 +100,7 @@ export class LogList {
     }
     marked?.setAttribute("aria-current", "true");
     if (marked) this.box.scrollTop = marked.offsetTop - this.box.clientHeight / 2;
+    else this.follow();
   }
 
   private make(line: PastLine): Item {
@@ -90,7 +108,13 @@ export class LogList {
     const name = LEVELS[level] ?? "info";
     const time = this.places > 0 ? this.timeline.label(time_s, this.places) : clock(time_s);
     const what = make("span", {}, ...(robot === "" ? [] : [make("i", {}, robot), " "]), text);
-    const element = make("li", { class: name }, make("time", {}, time), make("b", {}, name), what);
+    const element = make(
+      "li",
+      { class: name },
+      make("time", { title: dateText(new Date(1000 * time_s)) }, time),
+      make("b", {}, name),
+      what,
+    );
     element.addEventListener("click", () => {
       this.timeline.pause();
       this.timeline.point(time_s);

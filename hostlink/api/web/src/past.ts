@@ -1,8 +1,9 @@
 /** A robot's history from the daemon: its last minutes, or those around an incident. */
 
+import { driverText } from "./clients";
 import type { PlotData } from "./plots";
 import type { Row } from "./series";
-import type { Pose, Velocity } from "./views";
+import { type Pose, reasonText, type Velocity } from "./views";
 
 interface Past<Message> {
   age_s: number;
@@ -73,7 +74,7 @@ function described({ kind, facts }: PastEvent): { level: number; text: string } 
     case "unlocked":
       return { level: 2, text: "unlocked" };
     case "stopped":
-      return { level: 2, text: `stopped: ${reason} (${String(facts["owner"] ?? "")})` };
+      return { level: 2, text: `stopped: ${reasonText(reason)} (${driverText(String(facts["owner"] ?? ""), null)})` };
     case "gone":
       return { level: 4, text: facts["was_moving"] ? "link lost while it was driven" : "link lost" };
     case "diagnosed":

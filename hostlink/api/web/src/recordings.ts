@@ -6,6 +6,7 @@ import { makeDownload } from "./download";
 import type { Page } from "./page";
 import { reasonOf, refusalOf, request, rest } from "./rest";
 import { StoredWindow } from "./stored";
+import { dateText } from "./times";
 import type { RecordingNews, RecordingView } from "./views";
 import { bytes, duration, makeButton, makeField } from "./widgets";
 
@@ -162,7 +163,7 @@ class Recordings {
   }
 
   private makeFile({ file, bytes: size, modified }: StoredView): HTMLElement {
-    const when = new Date(modified).toLocaleString([], { dateStyle: "short", timeStyle: "short", hour12: false });
+    const when = dateText(new Date(modified));
     const remove = make("button", { type: "button", "aria-label": `Remove ${file}` }, "Remove");
     confirmed(remove, "Remove it?", () => () => void this.remove(file));
     const facts = make("span", { class: "figures" }, `${bytes(size)} · ${when}`);

@@ -22,6 +22,10 @@ const COUNTED: Record<Kind, [label: string, hint: string]> = {
   connected: ["idle", "Robots that are connected, without a driver"],
 };
 
+/** Of the columns in the layout Fleet; the dot and the stop have none. The style sheet puts them above the rows. */
+const BATTERY = "Battery"; // shown while a robot measures it
+const HEADS = ["Robot", "State", "Speed", BATTERY, "Poses, WiFi"];
+
 interface Card {
   row: HTMLElement;
   input: HTMLInputElement;
@@ -41,6 +45,7 @@ export class RobotList {
   private readonly counts = new Map<Kind, HTMLButtonElement>();
   private readonly placing = new FleetOrder();
   private only: Kind | null = null; // robots of this kind are shown, where their count is; null: all
+  private readonly heads = make("div", { class: "heads", "aria-hidden": "true" });
   private order = "";
   private prefix = "";
   private shown = ""; // the chosen robot and the order of the list
@@ -52,6 +57,7 @@ export class RobotList {
   ) {
     this.filter.addEventListener("input", () => this.show(true));
     for (const kind of KINDS) this.addCount(kind);
+    this.heads.append(...HEADS.map(() => make("span")));
     for (const event of ["pointermove", "pointerdown", "wheel", "touchmove", "keydown"])
       this.list.addEventListener(event, () => this.placing.hold(performance.now()), { passive: true });
   }
@@ -64,10 +70,15 @@ export class RobotList {
     this.filter.hidden = robots.length <= FILTERED;
     this.place(robots);
     this.count(robots);
-    const only = this.only !== null && this.counts.get(this.only)?.checkVisibility() ? this.only : null;
+    const only = !isStrip() && this.only !== null && this.counts.get(this.only)?.checkVisibility() ? this.only : null;
     const words = !this.filter.checkVisibility() ? [] : this.filter.value.toLowerCase().split(/\s+/).filter(Boolean);
     const fastest = robots.map(({ odometry }) => Math.abs(odometry?.twist.linear_m_s ?? 0));
     const full_m_s = Math.max(LEAST_SPEED_M_S, ...fastest);
+    const hasBattery = robots.some((robot) => batteryText(robot) !== "");
+    HEADS.forEach((head, index) => {
+      const cell = this.heads.children[index];
+      if (cell instanceof HTMLElement) setText(cell, head === BATTERY && !hasBattery ? "" : head);
+    });
     let shown = 0;
     for (const robot of robots) {
       const card = this.cards.get(robot.name);
@@ -141,10 +152,10 @@ export class RobotList {
     for (const name of this.cards.keys()) if (!known.has(name)) this.cards.delete(name);
     for (const name of names) if (!this.cards.has(name)) this.make(name); // colours are given by name
     const focused = document.activeElement;
-    arrange(
-      this.list,
-      ordered.flatMap((name) => this.cards.get(name)?.row ?? []),
-    );
+    arrange(this.list, [
+      ...ordered.flatMap((name) => this.cards.get(name)?.row ?? []),
+      ...(names.length > 0 ? [this.heads] : []),
+    ]);
     if (focused instanceof HTMLElement && this.list.contains(focused) && document.activeElement !== focused)
       focused.focus({ preventScroll: true }); // an element that is moved loses the focus
   }
@@ -163,7 +174,7 @@ export class RobotList {
     for (const [kind, button] of this.counts) {
       const number = numbers.get(kind) ?? 0;
       button.hidden = number === 0 && kind !== this.only;
-      button.setAttribute("aria-pressed", String(kind === this.only));
+      button.setAttribute("aria-pressed", String(kind === this.only && !isStrip()));
       setText(button, `${number} ${COUNTED[kind][0]}`);
     }
   }
@@ -171,6 +182,11 @@ export class RobotList {
   private addCount(kind: Kind): void {
     const button = make("button", { type: "button", "data-kind": kind, title: COUNTED[kind][1], hidden: "" });
     button.addEventListener("click", () => {
+      if (isStrip()) {
+        const first = this.list.querySelector(`.robot[data-state=${kind}]`);
+        first?.scrollIntoView({ block: "nearest", inline: "start" });
+        return;
+      }
       this.only = this.only === kind ? null : kind;
       this.show(true);
     });
@@ -210,6 +226,11 @@ export class RobotList {
     onPress(stop, () => this.stop(name), { isScrolled: true });
     this.cards.set(name, { row, input, name: title, state, speed, battery, signal, stop, share: "" });
   }
+}
+
+/** Whether the robots are one line that is scrolled sideways, as on a phone: a count then leads to its robot. */
+function isStrip(): boolean {
+  return document.body.dataset.robots === "strip";
 }
 
 /** What the daemon finds wrong with a connected robot's device, in short; empty if nothing. */

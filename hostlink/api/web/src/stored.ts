@@ -17,6 +17,7 @@ import { RobotCharts } from "./robotcharts";
 import { reasonOf, rest } from "./rest";
 import { makeTimebar } from "./timebar";
 import { Timeline } from "./timeline";
+import { dateText } from "./times";
 import type { IncidentView } from "./views";
 
 const TIMEOUT_MS = 15_000; // a whole file is read
@@ -78,7 +79,7 @@ export class StoredWindow {
       const opened = await rest<OpenedIncident>("GET", `${path}/history`, undefined, TIMEOUT_MS);
       const { robot, cause, detail, at, history, damage, file } = opened;
       const title = `${causeInWords(cause)}: ${robot}`;
-      const facts = [dateOf(at), detail, ...damage.map(damageText)];
+      const facts = [dateText(new Date(at)), detail, ...damage.map(damageText)];
       this.show({ title, facts, file, path, history, zero_s: Date.parse(at) / 1000, isIncident: true }, opener);
     } catch (error) {
       notice("refused", `Incident: ${reasonOf(error)}`, 5000);
@@ -100,7 +101,11 @@ export class StoredWindow {
       );
     });
     const title = opened.robot === "" ? file : `${file}: ${opened.robot}`;
-    const facts = [`${dateOf(begin)}, ${duration(seconds)} long`, bytes(opened.bytes), ...damage.map(damageText)];
+    const facts = [
+      `${dateText(new Date(begin))}, ${duration(seconds)} long`,
+      bytes(opened.bytes),
+      ...damage.map(damageText),
+    ];
     const tools = robots.length > 1 ? [select] : [];
     this.show(
       { title, facts, file, path, history, zero_s: Date.parse(begin) / 1000, isIncident: false, tools },
@@ -178,10 +183,6 @@ export class StoredWindow {
 
 export function causeInWords(cause: string): string {
   return CAUSES[cause] ?? cause;
-}
-
-function dateOf(at: string): string {
-  return new Date(at).toLocaleString([], { hour12: false });
 }
 
 function damageText(damage: string): string {

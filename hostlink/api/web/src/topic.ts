@@ -7,6 +7,7 @@ import { MessageForm, type TypeDef } from "./form";
 import type { Page } from "./page";
 import { Series } from "./series";
 import { now_s } from "./timeline";
+import { timeText } from "./times";
 import { type Keys, numberAt, ValueTree } from "./tree";
 import { makeButton } from "./widgets";
 
@@ -154,7 +155,7 @@ export class OpenedTopic {
     const state = this.publishState;
     try {
       const isSent = this.form !== null && this.page.connection.publish(this.name, this.form.read());
-      const time = new Date().toLocaleTimeString([], { hour12: false });
+      const time = timeText(new Date());
       setText(state, isSent ? `Sent at ${time}.` : "Not sent: no connection.");
     } catch (error) {
       setText(state, error instanceof Error ? error.message : String(error));

@@ -18,7 +18,7 @@ interface TopicView {
   publishers: number;
   subscribers: number;
   messages: number;
-  is_derived: boolean;
+  is_derived: boolean; // hostlink publishes it, and mostly only while it has subscribers
 }
 
 interface Row {

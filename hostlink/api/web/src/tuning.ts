@@ -3,6 +3,7 @@
 import type { Connection } from "./connection";
 import { find, make, remember, remembered, setText } from "./dom";
 import type { Fleet } from "./fleet";
+import { timeText } from "./times";
 import { KeptGains } from "./keptgains";
 import { topicOf } from "./views";
 
@@ -88,7 +89,7 @@ export class Tuning {
       }
       isSent = topic !== null && this.connection.publish(topic, gains) && isSent;
     }
-    const time = new Date().toLocaleTimeString([], { hour12: false });
+    const time = timeText(new Date());
     setText(this.state, isSent ? `Sent at ${time}.` : "Not sent: no connection.");
   }
 }

@@ -151,6 +151,16 @@ export function named(owner: string, address: string | null | undefined): string
   return owner.endsWith(")") ? `${owner.slice(0, -1)}, ${address})` : `${owner} (${address})`;
 }
 
+const REASONS: Record<string, string> = {
+  "owner left": "its program disconnected",
+  overruled: "a source of higher priority drove",
+};
+
+/** Why a drive ended, for people. */
+export function reasonText(reason: string): string {
+  return REASONS[reason] ?? reason;
+}
+
 /** A robot's topic of this leaf and type, on its link. */
 export function topicOf(robot: RobotView, link: LinkView | undefined, leaf: string, type: string): string | null {
   const namespace = robot.velocity_topic.slice(0, robot.velocity_topic.lastIndexOf("/") + 1);
