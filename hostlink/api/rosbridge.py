@@ -956,7 +956,7 @@ class RosbridgeClient:
     ) -> None:
         service = request.fields.get("service")
         name = service if isinstance(service, str) else ""
-        answer = {"op": "service_response", "service": name, "values": values, "result": is_right}
+        answer: dict[str, object] = {"op": "service_response", "service": name, "values": values, "result": is_right}
         self._put(request, answer if kind is None else answer | {"kind": kind})
 
     def _put(self, request: Request, answer: dict[str, object]) -> None:
