@@ -30,7 +30,6 @@ interface Row {
 interface Count {
   time_ms: number;
   messages: number;
-  is_derived: boolean;
 }
 
 export function startTopics(page: Page): HTMLElement {
