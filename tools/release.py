@@ -3,13 +3,15 @@
 Builds them into build/release, checks what is in them, installs the wheel into an empty virtual environment for each
 Python that is found (and the source distribution for the first), and there runs the demo: a robot appears, drives,
 and is stopped when the daemon ends. A compiled wheel of this computer's architecture is installed, driven and
-uninstalled too; pip must choose it where it fits, and the pure wheel for everyone else. The Debian package of this
-computer's architecture is unpacked, and its virtual environment runs the demo with the system's Python; `make
-piuparts` and `make arm64` install the packages. Prints a table; ends with status 1 when something is wrong.
+uninstalled too; pip must choose it where it fits, and the pure wheel for everyone else. The packages of Debian 12 and
+13 for this computer's architecture are unpacked, and their virtual environments run the demo with a Python of that
+Debian's version; `make piuparts` and `make arm64` install the packages. Prints a table; ends with status 1 when
+something is wrong.
 """
 
 import argparse
 import contextlib
+import itertools
 import json
 import math
 import platform
@@ -28,7 +30,7 @@ from typing import Any, NamedTuple
 
 from tests.support.process import free_port
 from tools import build_deb, compiled
-from tools.build_deb import PLATFORMS, ROOT, interpreter
+from tools.build_deb import DEBIANS, PLATFORMS, ROOT, interpreter
 
 FOLDER = ROOT / "build" / "release"
 PYTHONS = ("3.11", "3.12", "3.13")
@@ -87,17 +89,17 @@ def main() -> int:
         rows += done
         problems += wrong
     if not arguments.no_deb:
-        for arch in PLATFORMS:
-            print(f"building the Debian package for {arch} ...", flush=True)
+        for debian, arch in itertools.product(DEBIANS, PLATFORMS):
+            print(f"building the package for Debian {debian}, {arch} ...", flush=True)
             try:
-                deb = Path(shutil.copy(build_deb.build(arch), FOLDER))
+                deb = Path(shutil.copy(build_deb.build(arch, debian), FOLDER))
             except build_deb.BuildFailed as error:
                 problems.append(str(error))
                 continue
             print(f"{deb.name}: {deb.stat().st_size / 1e6:.1f} MB")
             problems += [] if build_deb.lintian(deb) else [f"{deb.name}: lintian finds errors"]
             if PLATFORMS[arch] == platform.machine():
-                rows.append(tried_deb(deb))
+                rows.append(tried_deb(deb, debian))
     for row in rows:
         of = row.of.partition(".manylinux_")[0]  # a compiled wheel's name has two tags that mean the same
         what = row.problem or f"{row.megabytes:.0f} MB with what it needs, a robot after {row.start_s:.1f} s"
@@ -234,21 +236,23 @@ def choice(folder: Path, version: str, where: str) -> str:
         return next(Path(into).iterdir()).name
 
 
-def tried_deb(deb: Path) -> Row:
-    """Unpack a Debian package, and run the demo of its virtual environment with the system's Python."""
+def tried_deb(deb: Path, debian: str) -> Row:
+    """Unpack a Debian package, and run the demo of its virtual environment with a Python of that Debian's version."""
     print(f"{deb.name} ...", flush=True)
-    folder = FOLDER / "unpacked"
+    folder, python = FOLDER / f"unpacked-{debian}", interpreter(DEBIANS[debian])
+    if python is None:
+        return Row(DEBIANS[debian], deb.name, 0.0, 0.0, f"Python {DEBIANS[debian]} is not found")
     try:
         build_deb.run("dpkg-deb", "--extract", deb, folder)
         program = folder / build_deb.HOME / "bin" / "here"  # the program, with the interpreter of this folder
         program.with_name("python").unlink()  # points into this folder
-        program.with_name("python").symlink_to("/usr/bin/python3")
+        program.with_name("python").symlink_to(python)
         program.write_text(f"#!{program.with_name('python')} -I\nfrom hostlink.cli.start import main\n\nmain()\n")
         program.chmod(0o755)
         start_s = demonstrated(program, cwd=folder)
     except (OSError, Unusable, build_deb.BuildFailed, subprocess.TimeoutExpired) as error:
-        return Row("Debian", deb.name, 0.0, 0.0, str(error) or type(error).__name__)
-    return Row("Debian", deb.name, size_mb(folder), start_s, "")
+        return Row(DEBIANS[debian], deb.name, 0.0, 0.0, str(error) or type(error).__name__)
+    return Row(DEBIANS[debian], deb.name, size_mb(folder), start_s, "")
 
 
 def size_mb(folder: Path) -> float:
