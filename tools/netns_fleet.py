@@ -37,6 +37,7 @@ CLONE_NEWNET = 0x40000000
 DEAF_S, STOPPED_S, AGAIN_S, IN_FORCE_S = 2.0, 1.0, 20.0, 3.0  # promised; the machine may be busy
 STOP_AFTER_S, WATCH_S, POLL_S, COMMAND_S, TIMEOUT_S = 4.0, 12.0, 0.5, 0.1, 180.0
 SPEED_M_S = 0.2
+REFUSED = 409
 API, DEVICES = "http://127.0.0.1:9090", ("127.0.0.1", 11411)
 
 
@@ -66,6 +67,7 @@ class Host:
         self._hub = f"{prefix}-hub"
         self.velocities: list[tuple[float, float]] = []  # when, m/s
         self.is_driving = False
+        self.may_arm = True  # until a stop is measured
         self._config = config
         self._child: subprocess.Popen[bytes] | None = None
         connector = aiohttp.TCPConnector(socket_factory=lambda _: self._socket())
@@ -113,14 +115,9 @@ class Host:
 
     def stopped_after_s(self, since_s: float) -> float:
         """Seconds until the robot's last velocity of this time was zero; infinite if it still moves."""
-        moving = [at_s for at_s, speed in self.velocities if speed and at_s > since_s]
-        zeros = [at_s for at_s, speed in self.velocities if not speed and at_s > since_s]
-        if not moving:
-            return 0.0  # it was at zero already, or is since the first one
-        if not zeros or moving[-1] > zeros[-1]:
-            return float("inf")
-        first = next(at_s for at_s in zeros if at_s > moving[-1])
-        return first - since_s
+        last_s = max((at_s for at_s, speed in self.velocities if speed), default=since_s)
+        zero_s = min((at_s for at_s, speed in self.velocities if not speed and at_s > last_s), default=float("inf"))
+        return max(zero_s - since_s, 0.0)  # 0: it was at zero already
 
     async def _be_robot(self) -> None:
         while True:
@@ -146,7 +143,9 @@ class Host:
         while True:
             if self.is_driving:
                 velocity = {"linear": SPEED_M_S, "angular": 0.0}
-                await self.request("PUT", f"/api/robots/{self.robot}/velocity", json=velocity)
+                status, _ = await self.request("PUT", f"/api/robots/{self.robot}/velocity", json=velocity)
+                if status == REFUSED and self.may_arm:  # a pause of its busy daemon has disarmed it
+                    await self.request("PUT", f"/api/robots/{self.robot}/velocity", json=dict.fromkeys(velocity, 0.0))
             await asyncio.sleep(COMMAND_S)
 
     def _socket(self) -> socket.socket:
@@ -188,6 +187,8 @@ async def vanish(hosts: list[Host], number: int, fault: str) -> dict[str, float]
     for host in hosts:
         host.is_driving = True
     await until(lambda: asyncio.sleep(0, all(host.velocities and host.velocities[-1][1] for host in hosts)))
+    for host in hosts:
+        host.may_arm = False
     for host in gone:
         host.plug(is_in=False)
         if fault == "power":
@@ -211,7 +212,7 @@ async def vanish(hosts: list[Host], number: int, fault: str) -> dict[str, float]
     await asyncio.sleep(IN_FORCE_S)
     in_force_s = 0.0 if fault == "power" else max(host.stopped_after_s(up_s) for host in gone) - again_s
     for host in hosts:
-        host.is_driving = False
+        host.is_driving, host.may_arm = False, True
     await asyncio.sleep(1.0)
     found = {
         "deaf_s": max(each.result() for each in watched),
