@@ -14,12 +14,14 @@ from structlog.testing import capture_logs
 
 from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.hub.robot_events import OWNER_LEFT
+from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, stops_of
-from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.waiting import TIMEOUT_S, expect
 
 FOXGLOVE = "foxglove.sdk.v1"
+SCAN_BYTES = 30_000  # the buffers of the kernel take many small messages before the daemon must drop one
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
 TOKENS = (TokenConfig(name="ann", token=DRIVE, role="drive"), TokenConfig(name="tv", token=READ, role="read"))
 CURVE, ZERO = (0.2, 0.5), (0.0, 0.0)
@@ -162,16 +164,18 @@ async def test_a_locked_robot_refuses_and_the_reason_is_a_status() -> None:
 
 async def test_a_client_that_never_reads_loses_only_its_own_messages_and_the_robot_nothing() -> None:
     with capture_logs() as lines:
-        async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        scan = topic(Id.PUBLISHER, 126, "/scan", "std_msgs/String", buffer_bytes=SCAN_BYTES + 4)
+        frame = encode(scan.topic_id, struct.pack("<I", SCAN_BYTES) + bytes(SCAN_BYTES))
+        async with daemon() as host, fake_device(host.tcp, [*robot_topics(), scan]) as device:
             async with player(host) as stuck:
-                await stuck.subscribe("/robot_0/odometry")
-                await expect(lambda: "client 1" in map(str, keys(host, "/robot_0/odometry")))
+                await stuck.subscribe("/scan")
+                await expect(lambda: "client 1" in map(str, keys(host, "/scan")))
                 transport = stuck.socket._response.connection.transport  # type: ignore[union-attr]
                 transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
                 transport.pause_reading()
                 async with asyncio.timeout(TIMEOUT_S):
                     while not dropped(await host.get("/api/clients")):
-                        await device.send(pose(1.0) * 1000)
+                        await device.send(frame * 10 + pose(1.0))
                 assert (await host.get("/api/robots/robot_0"))["connected"] is True
                 transport.abort()
             await expect(lambda: any(line["event"] == "client.closed" for line in lines))
