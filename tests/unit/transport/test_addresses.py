@@ -12,11 +12,15 @@ from hostlink.config import SerialConfig
 from hostlink.errors import ConfigError
 from hostlink.listening import spelled
 from hostlink.transport.keyed import proof, read_key
-from hostlink.transport.serial import choose_by_serial, find_port
+from hostlink.transport.serial import UsbPort, choose_by_serial, find_port
 from hostlink.transport.tcp import explain
 from hostlink.transport.udp import local_address
 
-PORTS = {"/dev/ttyUSB1": "B", "/dev/ttyUSB0": "A", "/dev/ttyACM0": "A"}
+PORTS = [
+    UsbPort("/dev/ttyUSB1", "B", "1-2"),
+    UsbPort("/dev/ttyUSB0", "A", "1-1"),
+    UsbPort("/dev/ttyACM0", "A", "1-1"),
+]
 
 
 def test_address_of_ip_version_6_has_brackets() -> None:
@@ -69,7 +73,7 @@ def test_unknown_usb_device_lists_the_others() -> None:
     with pytest.raises(OSError, match=r"C: no USB device .*available: A \(/dev/ttyACM0\), A .*, B \(/dev/ttyUSB1\)"):
         choose_by_serial("C", PORTS)
     with pytest.raises(OSError, match="available: none"):
-        choose_by_serial("C", {})
+        choose_by_serial("C", [])
 
 
 def test_pattern_must_match_one_port(tmp_path: Path) -> None:
