@@ -273,7 +273,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
     def _leave(self, *, is_more: bool) -> None:
         """Note that all bytes were passed on and more are read, unless the protocol inside has paused that."""
         if not self._held and not self._is_lost and self.transport.is_reading():
-            self._turns.leave(self._arrival, is_more=is_more)
+            self._turns.leave(self._arrival, asyncio.get_running_loop().time(), is_more=is_more)
 
     def _hold(self, data: bytes) -> None:
         self._held = b"" if self._is_refusing else self._held + data

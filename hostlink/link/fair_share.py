@@ -133,11 +133,12 @@ class Turns:
         self.share.spend(self._cost_s)
         return now_s
 
-    def leave(self, arrival: Arrival, *, is_more: bool) -> None:
+    def leave(self, arrival: Arrival, now_s: float, *, is_more: bool) -> None:
         """Note that all bytes of a source were read, and settle its arrival when the loop has read for a while."""
-        loop = asyncio.get_running_loop()
-        number = arrival.leave(loop.time(), is_more=is_more)
-        if number:  # what waits when the timer is due is read within the next turn, also in uvloop
+        number = arrival.leave(now_s, is_more=is_more)
+        if number:
+            loop = asyncio.get_running_loop()
+            # What waits when the timer is due is read within the next turn, also in uvloop.
             loop.call_later(SETTLE_S, loop.call_soon, loop.call_soon, arrival.settle, number)
 
     async def wait(self, cost_s: float, *, is_flooding: bool = False) -> None:
@@ -168,14 +169,16 @@ class TurnReader:
     """
 
     __slots__ = (
-        "_arrival", "_is_due", "_is_flooding", "_is_stopped", "_on_end", "_read", "_source", "_turns", "came_s", "rest",
+        "_arrival", "_is_due", "_is_flooding", "_is_stopped", "_now_s", "_on_end", "_read", "_source", "_turns",
+        "came_s", "rest",
     )  # fmt: skip
 
     def __init__(self, turns: Turns, source: ReadSource, read: Callable[[], None], on_end: Callable[[], None]) -> None:
         self._turns, self._source = turns, source
         self._read, self._on_end = read, on_end
         self._is_due = self._is_flooding = self._is_stopped = False
-        self._arrival, self.came_s = Arrival(), asyncio.get_running_loop().time()
+        self._now_s = asyncio.get_running_loop().time
+        self._arrival, self.came_s = Arrival(), self._now_s()
         self.rest = b""
 
     def stop(self) -> None:
@@ -190,7 +193,7 @@ class TurnReader:
             return
         source, share = self._source, self._turns.share
         if self.rest or source.unread_bytes:
-            self.came_s = self._arrival.arrive(share.came_s(asyncio.get_running_loop().time()))
+            self.came_s = self._arrival.arrive(share.came_s(self._now_s()))
         while (unread_bytes := len(self.rest) + source.unread_bytes) and not self._is_stopped:
             if unread_bytes >= READ_BYTES:
                 self._is_flooding = True
@@ -200,7 +203,7 @@ class TurnReader:
                 return
             self._read()
         self._is_flooding = False
-        self._turns.leave(self._arrival, is_more=source.is_behind)
+        self._turns.leave(self._arrival, self._now_s(), is_more=source.is_behind)
         if source.is_ended and not self._is_stopped:
             self._on_end()
 
