@@ -479,6 +479,7 @@ def calls_that_may_drive() -> set[str]:
     return found
 
 
+@pytest.mark.slow
 def test_every_call_that_may_drive_belongs_to_an_entry_point() -> None:
     """A new one needs an entry point in tests/support/entry_points.py; what gives no velocity is noted in OTHERS."""
     assert calls_that_may_drive() == SITES.keys() | OTHERS.keys()
@@ -501,6 +502,7 @@ def test_rows_that_an_entry_point_cannot_express_exist() -> None:
         assert entry_point.cannot.keys() <= ROWS.keys()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("entry_point", "row"), [(entry_point, row) for entry_point in ENTRY_POINTS for row in rows_of(entry_point)]
 )

@@ -117,6 +117,7 @@ async def test_a_compressed_body_is_not_unpacked() -> None:
             assert response.status == 400
 
 
+@pytest.mark.slow
 async def test_no_request_is_an_error_of_the_daemon() -> None:
     seed = int(os.environ.get("HOSTLINK_SEED", "1"))
     draw = random.Random(seed)

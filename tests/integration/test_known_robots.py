@@ -72,6 +72,7 @@ def entries(thing: object, observed: set[int] | None = None) -> int:
     return sum(entries(getattr(thing, name, None), observed) for name in fields)
 
 
+@pytest.mark.slow
 def test_a_crowd_that_came_and_left_is_forgotten() -> None:
     async def check(hub: Hub) -> None:
         counts = []
@@ -104,6 +105,7 @@ def test_one_device_with_many_names_leaves_as_little() -> None:
     with_hub(check)
 
 
+@pytest.mark.slow
 def test_a_locked_robot_is_not_forgotten_and_is_locked_when_it_is_back() -> None:
     async def check(hub: Hub) -> None:
         await visit(hub, robot_topics("robot_0"))
@@ -203,6 +205,7 @@ def test_a_device_with_more_topics_than_are_allowed_has_so_many_and_no_more() ->
     with_hub(check)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_alike", [True, False], ids=["flashed alike", "each its own"])
 def test_cost_of_a_connection_is_independent_of_the_number_of_robots(is_alike: bool) -> None:
     def seconds(count: int) -> float:

@@ -57,6 +57,7 @@ async def link_s(read: bytes, reads: int) -> float:
     return lasted_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload_bytes", [24, 200, 1024])
 def test_a_link_reads_frames_of_any_length_at_a_share_of_its_parser_alone(payload_bytes: int) -> None:
     """Processor time, alternating: what else runs on the machine disturbs both alike. The best round counts."""

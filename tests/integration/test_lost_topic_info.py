@@ -90,6 +90,7 @@ async def test_a_robot_whose_odometry_is_lost_drives_on_and_its_topics_are_reque
         assert robot.link is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("type_name", ["geometry_msgs/Pose2D", "geometry_msgs/Twist"])
 async def test_robot_without_odometry_or_velocity_is_stopped_after_the_third_announcement_without_it(
     type_name: str,

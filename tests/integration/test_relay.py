@@ -101,6 +101,7 @@ async def test_a_half_open_link_stays_open_for_the_host_until_the_robot_is_back(
             await expect(lambda: host.hub.links.all() not in ([], [old]) and old not in host.hub.links.all())
 
 
+@pytest.mark.slow
 async def test_the_program_reports_what_it_did() -> None:
     async with daemon() as host:
         chaos = await asyncio.create_subprocess_exec(

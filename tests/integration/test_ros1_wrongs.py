@@ -79,6 +79,7 @@ async def test_slave_api_peer_outside_allow_list_is_disconnected() -> None:
 # -- who is slow ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 async def test_a_subscriber_that_never_reads_costs_the_others_nothing(made: Scene) -> None:
     """The subscriber has a bounded queue. The oldest message is dropped and counted, and the newest is sent later."""
     wide = topic(Id.PUBLISHER, 126, "/blob", STRING, buffer_bytes=20_000)

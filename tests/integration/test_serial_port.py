@@ -131,6 +131,7 @@ async def test_a_port_that_vanishes_during_the_search_for_its_rate_is_waited_for
             assert not host.hub.isolation.crashes
 
 
+@pytest.mark.slow
 async def test_a_port_that_vanishes_again_and_again_leaves_nothing_behind(tmp_path: Path) -> None:
     path = tmp_path / "port"
     observed = []

@@ -194,6 +194,7 @@ def test_commands_that_waited_during_a_stall_are_refused_and_zeros_are_sent() ->
     numbered(check)
 
 
+@pytest.mark.slow
 def test_robot_that_was_idle_for_minutes_is_driven_at_once_unless_the_daemon_stalled() -> None:
     async def check(made: MemoryHub) -> None:
         await made.connect()

@@ -230,6 +230,7 @@ async def has_ended(transport: Transport) -> bool:
 class TestContract:
     """Rules that hold for every transport."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("piece_bytes", [1, 100, len(DATA)])
     async def test_bytes_arrive_in_order_however_split(self, ends: tuple[Transport, Peer], piece_bytes: int) -> None:
         transport, peer = ends

@@ -198,6 +198,7 @@ async def test_a_hundred_frames_in_one_segment() -> None:
         assert [(await program.receive())["msg"]["x"] for _ in range(100)] == list(range(100))
 
 
+@pytest.mark.slow
 async def test_each_reconnect() -> None:
     """Leaks a thread and a descriptor | nothing. Here: nothing."""
 

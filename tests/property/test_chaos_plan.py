@@ -2,11 +2,14 @@
 
 import random
 
+import pytest
+
 from hostlink.protocol.frame import Id
 from tests.support.chaos import frames, requests
 from tests.support.chaos.names import CLASHING_NAMES
 
 
+@pytest.mark.slow
 def test_announcements_are_small_and_huge_and_clash_with_each_other() -> None:
     drawn = [frames.draw_announcement(random.Random(seed)) for seed in range(200)]
     assert min(map(len, drawn)) < 5

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -112,6 +113,7 @@ async def begin(config: Config) -> None:
         await asyncio.sleep(0)
 
 
+@pytest.mark.slow
 @given(configs.map(with_free_ports))
 @settings(max_examples=150, deadline=None)
 def test_check_accepts_exactly_the_configurations_that_serve_accepts(config: Config) -> None:

@@ -141,6 +141,7 @@ def same(ours: object, theirs: object) -> bool:
     return type(ours) is type(theirs) and ours == theirs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @settings(PATIENT, max_examples=settings().max_examples // 5)
 @given(data=st.data())

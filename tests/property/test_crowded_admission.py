@@ -2,6 +2,7 @@
 
 import random
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,6 +14,7 @@ TICK_S = 0.05
 STREAMS = MAX_SOURCES + 4
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32), st.sampled_from(["stop", "lock", "pause", "reconnect"]))
 def test_stream_through_an_interruption_is_refused_until_it_is_silent_for_a_lease(seed: int, event: str) -> None:
     chance = random.Random(seed)

@@ -51,6 +51,7 @@ class Device:
 READERS = [(True, 0.001), (True, 0.033), (False, 0.001), (False, 0.033)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gives_up", "turn_s"), READERS)
 @pytest.mark.parametrize("whole", [VELOCITY, LONG, encode(101, bytes(VELOCITY * 8)), encode(6, b"\xff" * 300)])
 def test_robot_stops_after_a_frame_cut_anywhere(whole: bytes, *, gives_up: bool, turn_s: float) -> None:
@@ -60,6 +61,7 @@ def test_robot_stops_after_a_frame_cut_anywhere(whole: bytes, *, gives_up: bool,
         assert device.zero_at_s() <= LIMIT_S, cut
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gives_up", [True, False])
 @pytest.mark.parametrize("busy_until_s", [0.0, 0.03, 0.049, 0.07, 0.085, 0.099, 0.12, 0.149, 0.16])
 def test_busy_device_that_reads_everything_at_once_stops(busy_until_s: float, *, gives_up: bool) -> None:

@@ -180,6 +180,7 @@ async def live(device: Device, disturbed: list[Pause | Restart], findings: Findi
     raise AssertionError("the group ends by `return` alone")
 
 
+@pytest.mark.slow
 @fewer_examples(2)
 @given(disturbances, st.sampled_from([64, 777, 5840, 1 << 20]))
 @example([Pause(6.0, 9.0)], 5840)
@@ -205,6 +206,7 @@ SICK = {
 BESIDE = {"damaged": {"boot_noise"}}  # damage at the beginning of a link looks like a boot message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", SICK)
 @fewer_examples(5)
 @given(disturbed=disturbances)

@@ -33,6 +33,7 @@ def all_at_once(reads: list[Read]) -> Iterator[Read]:
             yield Read(side, sent, 0.0, connection)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [as_recorded, byte_by_byte, all_at_once])
 @pytest.mark.parametrize("name", NAMES)
 def test_inspection_agrees_with_the_original_host(name: str, cut: Any) -> None:

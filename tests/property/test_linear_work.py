@@ -13,6 +13,7 @@ LIAR = b"\xff\xfe\xe8\xfd\x1a"  # claims 65000 bytes
 SMALL_LIAR = b"\xff\xfe\x00\x04\xfb\x7d\x00"  # 1024
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("read_bytes", [1, 65536])
 @pytest.mark.parametrize(
     ("unit", "limit_bytes"), [(b"\xff\xfe", 1024), (SMALL_LIAR, 1024), (SMALL_LIAR, 65535), (LIAR, 65535)]

@@ -7,6 +7,7 @@ from tools.measure_damage import KINDS, Damage, measure, one_bit
 FRAMES = 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", KINDS, ids=lambda damage: damage.__name__)
 def test_few_damaged_frames_pass_and_none_with_a_single_bit(damage: Damage) -> None:
     found = measure(damage, FRAMES)

@@ -5,6 +5,7 @@ import pytest
 from hostlink.protocol.outbox import RING_BYTES, Outbox
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("uart_bytes_s", [960, 3840, 11520])
 def test_outbox_at_full_load_is_exactly_as_fast_as_the_uart(uart_bytes_s: int) -> None:
     outbox = Outbox(uart_bytes_s=uart_bytes_s)

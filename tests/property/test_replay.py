@@ -69,6 +69,7 @@ def reported(session: dict[str, Any]) -> Counter[object]:
     return +found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [as_recorded, at_once, byte_by_byte])
 @pytest.mark.parametrize("name", ["robot", "robot_serial", "services", "reconnect"])
 def test_session_reports_what_the_original_host_reported(name: str, cut: Any) -> None:

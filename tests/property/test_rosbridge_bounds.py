@@ -3,6 +3,8 @@
 import tracemalloc
 from typing import Any
 
+import pytest
+
 from hostlink.api.rosbridge import MAX_TEXT
 from hostlink.hub.participant import MAX_ADVERTISED, MAX_LATCHED, MAX_SERVICES, MAX_SUBSCRIPTIONS
 from tests.support.rosbridge_memory import world
@@ -12,6 +14,7 @@ def statuses(heard: list[Any]) -> list[str]:
     return [frame["msg"] for frame in heard if frame["op"] == "status"]
 
 
+@pytest.mark.slow
 async def test_resources_of_one_client_are_bounded() -> None:
     async with world() as here:
         peer = here.client()
@@ -32,6 +35,7 @@ async def test_resources_of_one_client_are_bounded() -> None:
         assert statuses(peer.received()) == [f"subscribe: topic is longer than {MAX_TEXT} characters"]
 
 
+@pytest.mark.slow
 async def test_a_gigabyte_of_nesting_costs_no_memory() -> None:
     async with world() as here:
         peer = here.client()

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -84,6 +85,7 @@ def test_rejected_syncs_are_at_most_the_skipped_syncs(wire: bytes, data: st.Data
     assert stream.rejected.total() <= skipped
 
 
+@pytest.mark.slow
 @given(lines, st.data())
 def test_every_split_gives_the_same_events(wire: bytes, data: st.DataObject) -> None:
     assert joined(split(wire, data)) == joined([wire])
@@ -104,6 +106,7 @@ large_claims = st.integers(20_000, MAX_PAYLOAD_BYTES).map(header)
 crowded = st.lists(large_claims | large_claims | nested, min_size=14, max_size=30).map(b"".join)
 
 
+@pytest.mark.slow
 @fewer_examples(2)
 @given(crowded, st.integers(0, 70_000), st.data())
 def test_every_split_gives_the_same_events_with_too_many_candidates(

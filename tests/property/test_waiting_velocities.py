@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -156,6 +157,7 @@ def whole(*sent: Fields) -> list[Sent]:
     return [Sent(each) for each in sent]
 
 
+@pytest.mark.slow
 @given(st.lists(operations, min_size=1, max_size=6), st.booleans())
 @example(whole(drive(link=EARLIER), drive(link=CURRENT)), False)
 @example(whole(drive(epoch=CURRENT, link=EARLIER), drive(link=CURRENT)), False)
@@ -185,6 +187,7 @@ def decision(answer: Fields) -> tuple[bool, str | None]:
     return answer["result"], answer.get("kind")
 
 
+@pytest.mark.slow
 @given(st.lists(operations_of_two, min_size=1, max_size=6), st.booleans())
 @example([Sent(drive()), Sent(STOP, client=1), Sent(drive())], False)
 @example([Sent(call("lock")), Sent(drive(), client=1), Sent(LEAVE)], False)

@@ -27,6 +27,7 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", WITHOUT + code], capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_daemon_recorder_and_client_load_without_the_extras() -> None:
     modules = (
         "hostlink.cli.serve, hostlink.cli.check, hostlink.cli.record, hostlink.cli.play, hostlink.cli.topics, "
@@ -37,6 +38,7 @@ def test_daemon_recorder_and_client_load_without_the_extras() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "library", "extra"),
     [
@@ -59,6 +61,7 @@ def test_chunk_compressed_with_lz4_names_the_extra_that_reads_it() -> None:
     assert "Damaged: needs lz4, of the extra 'export': run" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.version_info >= (3, 14), reason="zstd is part of Python 3.14")
 def test_recordings_without_zstd_name_the_installation() -> None:
     block = "sys.modules.update({'backports.zstd': None})\n"

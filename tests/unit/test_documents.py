@@ -64,6 +64,7 @@ def missing(file: Path) -> list[str]:
     return [*unknown_documents(text, folder=folder), *links]
 
 
+@pytest.mark.slow
 def test_every_document_that_is_named_exists_and_has_the_section() -> None:
     files = [file for file in sources() if file != Path(__file__)]
     assert len(files) > 300

@@ -1,5 +1,6 @@
 """LogBudget: limit of log lines for each peer."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -38,6 +39,7 @@ def test_refused_lines_are_reported_once() -> None:
     assert budget.left_out == 3
 
 
+@pytest.mark.slow
 def test_many_peers_are_bounded_and_every_refused_line_is_counted() -> None:
     budget = LogBudget()
     for number in range(MAX_NAMED + 10):

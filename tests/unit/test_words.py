@@ -93,6 +93,7 @@ def avoided(text: str) -> str:
     return found[0] if found else ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("places", [PLACES, TEST_PLACES], ids=["code", "tests"])
 def test_docstring_names_its_subject(places: tuple[str, ...]) -> None:
     assert [each for each in passages(places).docstrings if subjectless(each.text)] == []

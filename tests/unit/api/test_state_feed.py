@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+import pytest
 from structlog.testing import capture_logs
 
 from hostlink.api.clients import Clients
@@ -208,6 +209,7 @@ def test_invalid_log_message_is_counted() -> None:
     with_feed(check)
 
 
+@pytest.mark.slow
 def test_many_readers_are_sent_less_often_within_the_cpu_share() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         device, first = await connected(hub), Reader(feed)

@@ -32,6 +32,7 @@ def calibrate(folder: Path, *arguments: str) -> Result:
     return CliRunner().invoke(build_app("calibrate"), words)
 
 
+@pytest.mark.slow
 def test_a_simulated_robot_s_wheels_are_found(tmp_path: Path) -> None:
     result = calibrate(tmp_path, *SMALL, "--json")
     assert result.exit_code == 0, result.output
@@ -43,6 +44,7 @@ def test_a_simulated_robot_s_wheels_are_found(tmp_path: Path) -> None:
     assert len(drawn.findall("{*}polyline")) > 4
 
 
+@pytest.mark.slow
 def test_write_option_writes_the_result_into_the_configuration(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text('[parameters]\n"robot_0/wheel_radius" = 0.045\n')
@@ -54,6 +56,7 @@ def test_write_option_writes_the_result_into_the_configuration(tmp_path: Path) -
     assert "Confirmed" in result.stdout
 
 
+@pytest.mark.slow
 def test_a_file_in_which_the_numbers_cannot_stand_is_refused_before_any_drive(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     assert isinstance(calibrate(tmp_path, "--write", str(file), "--write-simulated").exception, ConfigError)
@@ -80,6 +83,7 @@ def test_numbers_of_no_robot_are_written_only_where_that_is_meant(tmp_path: Path
     assert not (tmp_path / "state.svg").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mistake", "text"), [("slip", "does not confirm"), ("sides", "left and right")])
 def test_a_wrong_tape_measure_keeps_nothing(tmp_path: Path, mistake: str, text: str) -> None:
     file = tmp_path / "hostlink.toml"
@@ -129,6 +133,7 @@ def test_a_simulated_robot_that_cannot_move_is_one_line(tmp_path: Path) -> None:
     assert "does not reach its goal" in str(result.exception)
 
 
+@pytest.mark.slow
 def test_a_picture_that_cannot_be_drawn_costs_no_drive(tmp_path: Path) -> None:
     result = calibrate(tmp_path, *SMALL, "--picture", str(tmp_path))
     assert isinstance(result.exception, HostlinkError)
@@ -136,6 +141,7 @@ def test_a_picture_that_cannot_be_drawn_costs_no_drive(tmp_path: Path) -> None:
     assert (tmp_path / "state.json").exists()
 
 
+@pytest.mark.slow
 def test_apply_to_a_simulated_robot_is_refused(tmp_path: Path) -> None:
     assert isinstance(calibrate(tmp_path, *SMALL, "--apply").exception, HostlinkError)
 
@@ -282,6 +288,7 @@ def test_enter_alone_starts_a_drive(
     assert capsys.readouterr().err.count("press Enter alone to start it") == 2
 
 
+@pytest.mark.slow
 def test_numbers_that_contradict_each_other_are_entered_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

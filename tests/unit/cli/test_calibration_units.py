@@ -129,6 +129,7 @@ def is_right(found: Calibration, true: WheelGeometry) -> bool:
     return found.geometry == pytest.approx(true, rel=0.012)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "unit", [each if each in ("cm", "in") else pytest.param(each, marks=pytest.mark.long) for each in UNITS_M]
 )
@@ -142,6 +143,7 @@ def test_lengths_with_their_unit_are_never_doubted(unit: str, tmp_path: Path, mo
     assert kept >= 0.8 * ROBOTS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("unit", "questions"),
     [

@@ -6,6 +6,7 @@ from hostlink.cli.main import COMMANDS
 from tests.support.documented import Documented, documented
 
 
+@pytest.mark.slow
 def test_every_documented_command_is_accepted_by_the_parser() -> None:
     found = set(documented())
     assert len(found) > 180

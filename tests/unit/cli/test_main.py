@@ -110,6 +110,7 @@ QUICK = (
 )
 
 
+@pytest.mark.slow
 def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
     modules = sorted({module_of(name) for name in QUICK})
     slow = ("hostlink.hub.hub", "aiohttp.web", "structlog", "numpy")

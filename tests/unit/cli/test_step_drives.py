@@ -276,6 +276,7 @@ def motor_record() -> Record:
     return Record("ticks/s", t_s, measured, measured, pwm)
 
 
+@pytest.mark.slow
 @virtual
 async def test_gains_are_sent_only_when_requested() -> None:
     records = {"left": motor_record(), "right": motor_record()}

@@ -310,6 +310,7 @@ async def read_for_ever(here: World) -> None:
         await asyncio.sleep(0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_reader", [False, True])
 @virtual
 async def test_robot_of_a_program_that_makes_no_call_for_ten_seconds_stops_and_the_log_says_why(
@@ -340,6 +341,7 @@ async def heard(here: World) -> None:
         await anext(lamps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "call",
     [

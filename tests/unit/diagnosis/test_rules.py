@@ -116,6 +116,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("code", "evidence", "detail"), CASES)
 def test_sufficient_evidence_gives_the_finding(code: str, evidence: Evidence, detail: str) -> None:
     found = diagnose(evidence)

@@ -19,6 +19,7 @@ def telemetry() -> bytes:
     return b"".join(bytes.fromhex(read.hex) for read in load_reads(CAPTURE) if read.dir == "device")[2000:4000]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [0.98, 1.0, 1.02])
 @pytest.mark.parametrize("gap_bits", [0.0, 0.5, 3.0])
 @pytest.mark.parametrize(("sent", "read"), [(57600, 115200), (9600, 57600), (38400, 57600), (19200, 115200)])

@@ -108,6 +108,7 @@ def test_a_header_loses_its_number_on_the_way_to_ros_2() -> None:
     assert back == payload[:0] + bytes(4) + payload[4:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_back", [False, True])
 def test_every_type_of_ros_1_is_converted_there_and_back(is_back: bool) -> None:
     """A message of zeros: what is equal in both is the same bytes again."""

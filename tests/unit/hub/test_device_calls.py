@@ -343,6 +343,7 @@ def test_a_full_queue_of_replies_only_delays_the_answer() -> None:
     assert run_virtual(run()) == FAILED
 
 
+@pytest.mark.slow
 def test_a_flood_of_calls_costs_no_memory_and_the_device_receives_an_answer() -> None:
     calls = 8_000
 
@@ -377,6 +378,7 @@ def test_a_flood_of_calls_costs_no_memory_and_the_device_receives_an_answer() ->
     assert grown < 2**20
 
 
+@pytest.mark.slow
 def test_floods_of_calls_of_many_devices_wait_behind_one_who_drives() -> None:
     devices, call_s = 16, 0.001
 

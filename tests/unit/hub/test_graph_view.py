@@ -3,6 +3,8 @@
 import random
 from collections.abc import Callable
 
+import pytest
+
 from hostlink.errors import HostlinkError
 from hostlink.hub.graph_changes import GraphChanges
 from hostlink.hub.graph_view import GraphTopic, GraphView
@@ -56,6 +58,7 @@ def test_new_robot_costs_in_proportion_to_its_topics() -> None:
     assert view.graph() == before
 
 
+@pytest.mark.slow
 def test_any_history_of_changes_gives_the_graph_that_is_made_anew() -> None:
     for seed in range(30):
         assert run_virtual(history(random.Random(seed))) > 50

@@ -41,6 +41,7 @@ def test_the_paper_s_software_does_not() -> None:
     assert 0.5 < errors.means_cm.max() < 20.0
 
 
+@pytest.mark.slow
 def test_equal_seeds_repeat_and_others_differ() -> None:
     noisy = Setup(software=Software.PAPER, mistakes=Mistakes.none())
     first, second = (conduct(Experiment(noisy, BACK, 2)) for _ in range(2))

@@ -55,6 +55,7 @@ def _one(layout: Layout, field: Field, number: int, *, elements: int) -> object:
     return plain(layout.nested[field.type], elements=elements)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elements", [0, 1, 3])
 def test_plain_messages_of_every_type_use_the_compiled_codec(elements: int) -> None:
     types = every_type()

@@ -306,6 +306,7 @@ def test_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path: 
         assert [row["data"] for row in rows(tmp_path / "csv" / f"{file_name(name)}.csv")] == ["0", "1"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("format_", ["rosbag2", "ros1"])
 def test_full_disk_is_reported_in_one_line(recording: Path, tmp_path: Path, format_: str) -> None:
     """Files are limited to a kilobyte here. The error differs from that of a full disk, but occurs as late.

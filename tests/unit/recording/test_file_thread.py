@@ -27,6 +27,7 @@ def count(folder: Path) -> int:
     return sum(1 for path in folder.iterdir() for _ in McapReader(path).messages())
 
 
+@pytest.mark.slow
 async def test_ten_seconds_of_a_flood_at_once_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The end waits as long as the disk accepts data."""
     monkeypatch.setattr(mcap_writer, "CLOSE_TIMEOUT_S", 0.25)
@@ -103,6 +104,7 @@ async def test_blocked_disk_drops_messages_above_the_bound_without_delay(tmp_pat
     assert count(tmp_path) == thread.messages
 
 
+@pytest.mark.slow
 async def test_more_channels_than_a_file_can_have_do_not_end_the_recording(tmp_path: Path) -> None:
     """A program may advertise any number of topics, but a channel number in the format has 16 bits."""
     thread = FileThread(

@@ -4,9 +4,12 @@ import sys
 import threading
 from pathlib import Path
 
+import pytest
+
 from hostlink.recording.folder import Folder
 
 
+@pytest.mark.slow
 def test_file_removed_while_the_folder_is_read_is_not_listed(tmp_path: Path) -> None:
     folder = Folder(tmp_path, max_disk_mb=1, min_free_disk_mb=0)
     (tmp_path / "stays.mcap").touch()

@@ -124,6 +124,7 @@ def test_of_many_damaged_chunks_a_few_are_named_and_the_others_counted(tmp_path:
     assert len(contents_of(path).damage) == MAX_NAMED + 1
 
 
+@pytest.mark.slow
 def test_chunk_of_many_messages_is_read_one_by_one(tmp_path: Path) -> None:
     data = schema(1, TEXT, "string data") + channel(1, "/x") + 40_000 * message(1, b"")
     path = file(tmp_path, chunk(zstandard.compress(data), "zstd", len(data)))
@@ -135,6 +136,7 @@ def metadata(name: str, value: str) -> bytes:
     return record(METADATA, text("m"), struct.pack("<I", len(values)), values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["schemas", "metadata"])
 def test_expanded_definitions_and_metadata_are_bounded(tmp_path: Path, kind: str) -> None:
     """Each text is different, and every channel has it."""
@@ -200,6 +202,7 @@ def test_json_resembling_a_time_keeps_its_fields(tmp_path: Path, number: bytes) 
     assert export_csv(McapReader(path), tmp_path / "csv")[1] == {"x.csv": 1}
 
 
+@pytest.mark.slow
 def test_json_with_other_fields_in_each_message_is_a_table_of_bounded_width(tmp_path: Path) -> None:
     fields = [",".join(f'"{number}_{each}":1' for each in range(10)) for number in range(1500)]
     messages = [message(1, f"{{{each}}}".encode()) for each in fields]
@@ -209,6 +212,7 @@ def test_json_with_other_fields_in_each_message_is_a_table_of_bounded_width(tmp_
     assert (len(table), len(table.stamp_ns)) == (MAX_COLUMNS, 1500)
 
 
+@pytest.mark.slow
 def test_sparse_json_fields_need_memory_for_their_values_only(tmp_path: Path) -> None:
     """A full table of 8,000 rows and 2000 columns would have sixteen million values."""
     messages = [message(1, f'{{"{number % 2000}":{number},"all":1}}'.encode()) for number in range(8_000)]
@@ -219,6 +223,7 @@ def test_sparse_json_fields_need_memory_for_their_values_only(tmp_path: Path) ->
     assert [(row, value) for row, value in enumerate(table["7"]) if value is not None][:2] == [(7, 7), (2007, 2007)]
 
 
+@pytest.mark.slow
 def test_thousand_csv_files_keep_no_buffer(tmp_path: Path) -> None:
     """The topics have the same file name, because they contain no letters."""
     channels = [channel(number, "/" + "$" * number, "json") + message(number, b"{}") for number in range(1, 1001)]

@@ -93,6 +93,7 @@ def test_each_ended_chunk_of_a_file_that_is_never_finished_can_be_read(tmp_path:
     assert reader.damage == ["the file was not finished"]
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
@@ -116,6 +117,7 @@ def test_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
     assert summary is not None
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_damaged_file_gives_messages_that_were_written_and_no_traceback(

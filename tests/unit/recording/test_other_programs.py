@@ -58,6 +58,7 @@ def theirs(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return make(tmp_path)
 
 
+@pytest.mark.slow
 def test_csv_of_another_programs_recording_has_its_values(theirs: Path, tmp_path: Path) -> None:
     done, lines = export_csv(open_source(theirs), tmp_path / "csv")
     assert (done.messages, lines, done.left_out, done.damage) == (COUNT, {"odom.csv": COUNT}, {}, [])
@@ -70,6 +71,7 @@ def test_csv_of_another_programs_recording_has_its_values(theirs: Path, tmp_path
     assert (row["header.stamp"], row["pose.covariance[35]"]) == ("10.000000005", "0.25")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("format_", [RosFormat.ROS2_MCAP, RosFormat.ROS2_SQLITE])
 def test_ros_2_bag_of_another_programs_recording_has_its_values(
     theirs: Path, tmp_path: Path, format_: RosFormat
@@ -99,6 +101,7 @@ def test_ros_1_bag_of_another_programs_recording_has_its_values(theirs: Path, tm
     assert (message.header.stamp.sec, message.twist.covariance[35]) == (10, 0.25)
 
 
+@pytest.mark.slow
 def test_contents_tables_and_pictures_of_another_programs_recording(theirs: Path) -> None:
     found = contents_of(theirs)
     assert (found.messages, found.seconds, found.damage) == (COUNT, pytest.approx((COUNT - 1) / 100), [])

@@ -137,6 +137,7 @@ def test_rings_of_more_robots_than_blocks_keep_the_newest() -> None:
     assert [len(kept_of(rings, f"robot_{number}")) for number in range(40)] == [0] * 36 + [1] * 4
 
 
+@pytest.mark.slow
 def test_messages_of_a_ring_are_bounded() -> None:
     rings = Rings(RingMemory(2 * MAX_MESSAGES * HEADER_BYTES), keep_s=KEEP_S)
     for number in range(MAX_MESSAGES + 5000):

@@ -28,6 +28,7 @@ BAD = WheelGeometry(0.0448, 0.0453, 0.2142)
 geometries = st.builds(WheelGeometry, st.floats(0.0445, 0.0455), st.floats(0.0445, 0.0455), st.floats(0.204, 0.216))
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None)
 @given(geometries)
 def test_without_noise_both_methods_find_the_wheels(true: WheelGeometry) -> None:
@@ -51,6 +52,7 @@ def test_a_robot_that_believes_in_other_wheels_is_calibrated_from_there() -> Non
     assert found.geometry == pytest.approx(true, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_noise_is_averaged_and_the_intervals_contain_the_truth_nearly_always() -> None:
     inside = 0
     for seed in range(12):
@@ -61,6 +63,7 @@ def test_noise_is_averaged_and_the_intervals_contain_the_truth_nearly_always() -
     assert 0.8 * 36 <= inside <= 36
 
 
+@pytest.mark.slow
 def test_headings_that_were_measured_count_too() -> None:
     robot = ExactRobot(NOMINAL, BAD)
     runs = []

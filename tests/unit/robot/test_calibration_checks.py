@@ -80,15 +80,18 @@ def test_a_slip_in_one_of_two_lines_is_found_by_the_other() -> None:
     assert "two drives alike (straight)" in complaint_of_runs(runs, NOMINAL)
 
 
+@pytest.mark.slow
 def test_left_and_right_exchanged_in_all_squares_is_named() -> None:
     assert "left and right, or clockwise" in complaint_of_runs(all_squares(RUNS, y=-1.0), NOMINAL)
 
 
+@pytest.mark.slow
 def test_forward_and_sideways_exchanged_in_all_squares_is_named() -> None:
     runs = [with_measured(r, r.measured.y_m, r.measured.x_m) if r.kind in SQUARES else r for r in RUNS]
     assert "forward and sideways exchanged" in complaint_of_runs(runs, NOMINAL)
 
 
+@pytest.mark.slow
 def test_the_squares_of_one_way_entered_as_the_other_s_are_named() -> None:
     by_kind = {kind: [run.measured for run in RUNS if run.kind is kind] for kind in SQUARES}
     runs = []
@@ -101,6 +104,7 @@ def test_the_squares_of_one_way_entered_as_the_other_s_are_named() -> None:
     assert "or clockwise and counter-clockwise, exchanged" in complaint_of_runs(runs, NOMINAL)
 
 
+@pytest.mark.slow
 def test_squares_that_no_wheels_explain_are_refused() -> None:
     """Both ways off to the left and behind, then to the left and before: neither as entered, nor read otherwise."""
     ends = {RunKind.SQUARE_CW: (-0.6, 0.6), RunKind.SQUARE_CCW: (0.0, 0.6)}
@@ -148,6 +152,7 @@ def test_a_line_in_another_unit_is_refused_with_that_unit(factor: float, unit: s
     assert f"was it in {unit}? Enter the unit with the number" in complaint_of_run(wrong, OWN)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_drawn_robots_with_an_honest_person_have_no_complaint(seed: int) -> None:
     random = np.random.default_rng(seed)

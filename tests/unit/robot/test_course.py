@@ -125,6 +125,7 @@ def end_of_leg(leg: Leg, lag_s: float, phase_s: float, speed: Speed) -> float:
     return at
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag_s", [0.0, 0.05, 0.12, 0.3])
 @pytest.mark.parametrize(
     ("way", "speed", "most", "mean"),

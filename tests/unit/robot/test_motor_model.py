@@ -48,6 +48,7 @@ def drive(
     return Record("ticks/s", t_s, sign * set_point, sign * measured_, sign * pwm_)
 
 
+@pytest.mark.slow
 @fewer_examples(2)
 @given(
     st.floats(0.05, 0.09),
@@ -152,6 +153,7 @@ def test_model_and_gains_are_readable() -> None:
     assert str(simc_gains(model)).startswith("Kp ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_messages_that_come_late_or_never_cost_digits_and_no_more(seed: int) -> None:
     """A mean delay of half the time between two messages, and one of 25 lost."""

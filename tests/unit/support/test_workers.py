@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[3]
 NOTING = """
 import os, pathlib, pytest
@@ -25,6 +27,7 @@ def run(folder: Path, *options: str) -> tuple[str, list[list[str]]]:
     return done.stdout + done.stderr, [each.split() for each in ran.read_text().splitlines()] if ran.exists() else []
 
 
+@pytest.mark.slow
 def test_tests_run_once_in_two_processes_and_each_result_is_reported(tmp_path: Path) -> None:
     (tmp_path / "test_some.py").write_text(f"""{NOTING}
 @pytest.fixture(scope="module", autouse=True)
@@ -52,6 +55,7 @@ def test_absent(): pass
     assert sorted(worker for name, worker in ran if name == "end") == ["0", "1"]  # each tears its fixtures down
 
 
+@pytest.mark.slow
 def test_tests_of_a_file_that_shares_run_in_order_in_one_worker(tmp_path: Path) -> None:
     (tmp_path / "test_words.py").write_text(f"""{NOTING}
 @pytest.mark.parametrize("number", range(20))
@@ -64,6 +68,7 @@ def test_good(number):
     assert len({worker for _, worker in ran}) == 1
 
 
+@pytest.mark.slow
 def test_worker_that_dies_fails_its_test_and_another_worker_runs_the_rest(tmp_path: Path) -> None:
     (tmp_path / "test_some.py").write_text(f"""{NOTING}
 @pytest.mark.parametrize("number", range(20))
@@ -78,6 +83,7 @@ def test_some(number):
     assert sorted(int(name) for name, _ in ran) == [number for number in range(20) if number not in (3, 4)]
 
 
+@pytest.mark.slow
 def test_first_failure_ends_the_run_when_asked_and_a_broken_file_runs_nothing(tmp_path: Path) -> None:
     (tmp_path / "test_some.py").write_text(f"""{NOTING}
 import time

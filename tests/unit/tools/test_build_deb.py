@@ -29,6 +29,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_each_command_has_a_man_page(pages: dict[str, str]) -> None:
     assert set(pages) == {"hostlink.1", *(f"hostlink-{name}.1" for name in COMMANDS)}
 
@@ -41,6 +42,7 @@ def test_each_option_of_a_command_is_on_its_page(pages: dict[str, str]) -> None:
                 assert rf"\fB{man_pages.escaped(option.opts[0])}\fR" in pages[f"hostlink-{name}.1"]
 
 
+@pytest.mark.slow
 def test_each_page_names_the_version_of_the_project(pages: dict[str, str]) -> None:
     assert all(f'"hostlink {man_pages.version()}"' in text for text in pages.values())
 
@@ -50,6 +52,7 @@ def test_page_is_dated_by_source_date_epoch(monkeypatch: pytest.MonkeyPatch) -> 
     assert man_pages.date() == "1970-01-01"
 
 
+@pytest.mark.slow
 @needs_man
 def test_man_formats_each_page_without_a_warning(pages: dict[str, str], tmp_path: Path) -> None:
     for name, text in pages.items():
@@ -60,6 +63,7 @@ def test_man_formats_each_page_without_a_warning(pages: dict[str, str], tmp_path
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_package_has_each_needed_file(tree: Path) -> None:
     present = {str(path.relative_to(tree)) for path in tree.rglob("*")}
     present |= {f"{name}.gz" for name in present if name.startswith("usr/share/man/")}  # debhelper compresses them
@@ -67,6 +71,7 @@ def test_package_has_each_needed_file(tree: Path) -> None:
     assert all(f"usr/share/man/man1/hostlink-{name}.1.gz" in present for name in COMMANDS)
 
 
+@pytest.mark.slow
 def test_package_has_nothing_outside_of_the_folders_of_debian(tree: Path) -> None:
     assert {path.name for path in tree.iterdir()} == {"etc", "usr"}
     assert str((tree / "usr/bin/hostlink").readlink()) == "../lib/hostlink/bin/hostlink"
@@ -78,6 +83,7 @@ def test_unit_starts_the_program_of_the_package() -> None:
     assert "/opt/" not in build_deb.unit()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shell", "words"),
     [
@@ -97,6 +103,7 @@ def test_shell_loads_the_completion(tree: Path, shell: str, words: list[str]) ->
     assert "_hostlink" in done.stdout
 
 
+@pytest.mark.slow
 def test_bash_completes_commands(tree: Path) -> None:
     program = Path(sys.executable).parent
     script = (

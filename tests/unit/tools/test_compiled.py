@@ -32,6 +32,7 @@ def test_each_pattern_names_modules_that_exist() -> None:
     assert [each for each in HOOK["include"] if not list(ROOT.glob(each.removeprefix("/")))] == []
 
 
+@pytest.mark.slow
 def test_classes_that_interpreted_ones_inherit_permit_it() -> None:
     """mypyc raises TypeError when the interpreted class is created: every WebSocket was refused with status 500."""
     found = list(classes())
@@ -53,6 +54,7 @@ def test_no_compiled_coroutine_waits_while_it_handles_an_exception() -> None:
             assert not isinstance(node, ast.AsyncWith | ast.TryStar), f"{path}:{node.lineno}"
 
 
+@pytest.mark.slow
 def test_no_compiled_function_names_one_within_it() -> None:
     """mypyc keeps both in a reference cycle, so that a link that has ended was freed by the garbage collector only."""
     functions = (ast.FunctionDef, ast.AsyncFunctionDef)

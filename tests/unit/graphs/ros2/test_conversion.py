@@ -115,6 +115,7 @@ def converted(name: str, fields: dict[str, Any]) -> tuple[bytes, bytes, Conversi
     return payload, conversion.to_cdr(payload, ros2_type(name)), conversion
 
 
+@pytest.mark.slow
 @given(
     st.floats(allow_nan=False), st.floats(allow_nan=False), st.text(max_size=9).filter(lambda text: "\0" not in text)
 )
@@ -140,6 +141,7 @@ def test_infinite_ranges_stay_infinite() -> None:
     assert list(message.ranges) == [float("inf"), 2.0]
 
 
+@pytest.mark.slow
 @given(st.binary(max_size=60))
 def test_no_bytes_do_harm(data: bytes) -> None:
     conversion = Conversion()

@@ -299,6 +299,7 @@ async def test_velocity_that_waited_for_a_lease_before_it_was_taken_is_dropped(
     assert [twist for _, twist, _ in world.daemon.commands] == sent
 
 
+@pytest.mark.slow
 @virtual
 async def test_a_flood_stays_under_the_daemon_s_limit_and_a_stop_waits_for_none_of_it() -> None:
     world = World()

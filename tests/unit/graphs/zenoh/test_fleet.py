@@ -559,6 +559,7 @@ async def driven_at_lab(world: World) -> AsyncIterator[LocalRobot]:
         yield robot
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seen_s", [0.0, 1.0, 100.0])
 def test_stop_of_a_host_out_of_sight_is_an_error_and_in_force_when_it_is_seen_again(seen_s: float) -> None:
     async def test(world: World) -> None:
@@ -579,6 +580,7 @@ def test_stop_of_a_host_out_of_sight_is_an_error_and_in_force_when_it_is_seen_ag
     with_fleet(test)
 
 
+@pytest.mark.slow
 @inside(with_fleet)
 async def test_lock_of_a_host_out_of_sight_is_shown_refuses_and_is_in_force_when_it_is_seen_again(world: World) -> None:
     cut = Cut(world)
