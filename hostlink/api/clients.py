@@ -15,7 +15,7 @@ from hostlink.api.access import GRANT
 from hostlink.api.program_names import browser_of, client_name
 from hostlink.api.routes import readable
 from hostlink.errors import BadPayload
-from hostlink.hub.byte_budget import ByteBudget
+from hostlink.hub.byte_budget import ByteBudget, Share
 from hostlink.hub.queue import Queue
 from hostlink.hub.topic import Topic
 from hostlink.logs import printable
@@ -25,6 +25,8 @@ from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
 MANY = 64  # waiting messages above which a client floods: more than a second of commands at 50 Hz
 MAX_MESSAGES = 256  # decoded or not; more wait in the socket
 MAX_BYTES = 64 * 1024  # or one larger message
+FEW = 32  # messages that each client may have while all clients together have too many
+OPERATION_BYTES = 1024  # of memory for a small one; 128 clients that had left with 400 each took 97 MiB
 
 Content = TypeVar("Content")
 Spawn = Callable[[Coroutine[Any, Any, None]], object]  # runs a coroutine in the client's task group
@@ -80,9 +82,15 @@ class OperationQueue(Generic[Content]):
     velocities of any age, and is never replaced.
     """
 
-    def __init__(self, program: ClientProgram[Content], on_replaced: Callable[[], None], messages_s: float) -> None:
-        """Create an empty queue. `on_replaced` is called for each replaced velocity; `messages_s`: allowed rate."""
-        self._program, self._on_replaced = program, on_replaced
+    def __init__(
+        self, program: ClientProgram[Content], on_replaced: Callable[[], None], messages_s: float, share: Share
+    ) -> None:
+        """Create an empty queue. `on_replaced` is called for each replaced velocity; `messages_s`: allowed rate.
+
+        `share`: of the operations of all clients.
+        """
+        self._program, self._on_replaced, self._share = program, on_replaced, share
+        self._held_bytes = 0  # of the share
         self._messages: deque[tuple[str | bytes, float]] = deque()  # in order of arrival, not decoded
         self._bytes = 0
         self._operations: dict[int, Operation[Content]] = {}  # by number, in order of arrival
@@ -108,10 +116,27 @@ class OperationQueue(Generic[Content]):
         self._messages.append((data, self._came_s))
         self._bytes += len(data)
         self.waiting += 1
-        if self.waiting > MANY:
-            self.is_flooding = True
-        if self.waiting > MAX_MESSAGES or self._bytes > MAX_BYTES:
+        self._hold(self.waiting * OPERATION_BYTES + self._bytes)
+        if self.waiting > self._max_messages or self._bytes > MAX_BYTES:
             self.has_room = False
+        if self.waiting > MANY or not self.has_room:
+            self.is_flooding = True
+
+    def close(self) -> None:
+        """Give the share back: the client has ended, and what waits is not executed."""
+        self._hold(0)
+
+    @property
+    def _max_messages(self) -> int:
+        return FEW if self._share.is_over else MAX_MESSAGES
+
+    def _hold(self, held_bytes: int) -> None:
+        more = held_bytes - self._held_bytes
+        self._held_bytes = held_bytes
+        if more > 0:
+            self._share.add(more)
+        else:
+            self._share.give(-more)
 
     def work(self) -> None:
         """Decode all messages, and execute the next operation."""
@@ -146,7 +171,8 @@ class OperationQueue(Generic[Content]):
         finally:
             if not operations:
                 self._bytes, self.is_flooding = 0, False
-            if len(operations) <= MAX_MESSAGES // 2 and (not operations or self._bytes <= MAX_BYTES):
+            self._hold(self.waiting * OPERATION_BYTES + self._bytes)
+            if len(operations) <= self._max_messages // 2 and (not operations or self._bytes <= MAX_BYTES):
                 self.has_room = True
 
 

@@ -62,7 +62,7 @@ class ClientSocket:
         self._context = contextvars.copy_context()  # so that log lines of callbacks name the client
         self._max_messages_s = hub.config.api.max_requests_s
         note_replaced = partial(hub.counts.velocities_replaced.update, (client.kind,))
-        self._operations = OperationQueue[Any](program, note_replaced, self._max_messages_s)
+        self._operations = OperationQueue[Any](program, note_replaced, self._max_messages_s, hub.budget["operations"])
         self._progress = asyncio.Event()  # set when an operation was executed
         self._is_ended = False
         self._is_work_due = self._is_send_due = False  # whether a callback is scheduled
@@ -114,6 +114,7 @@ class ClientSocket:
                 if timer is not None:
                     timer.cancel()
             reading.leave_web_socket()
+            operations.close()
             self._program.close()
 
     async def _receive_control(self, kind: WSMsgType, data: bytes | None) -> None:

@@ -307,6 +307,7 @@ def reload_signal(reloader: Reloader) -> Iterator[None]:
 
 CHECK_INTERVAL_S = 1.0
 WHOLE_INTERVAL_S = 60.0  # between two looks at all objects while little is freed: 0.25 s with a thousand robots
+REST_S = 10.0  # before it is looked at each second: 0.07 s of the loop, for which a stop between two drives may wait
 ENOUGH = 20  # collections of the younger generation: about a hundred connections since the last full one
 WORTH = 1000  # collected objects: those of a dozen connections
 
@@ -315,21 +316,26 @@ async def collect_while_idle(robots: Robots) -> None:
     """Collect garbage while nothing moves, until cancelled.
 
     Many robots make enough objects for a collection each second, but leave no cycles behind. The objects that such a
-    collection leaves are therefore not looked at again before WHOLE_INTERVAL_S, or before a collection frees much.
+    collection leaves are therefore not looked at again before WHOLE_INTERVAL_S, or before a collection frees much
+    while all robots have been at rest for REST_S.
     """
     now_s = asyncio.get_running_loop().time
-    whole_at_s, is_left = now_s(), False  # is_left: what was frozen while it was in use may be garbage by now
+    whole_at_s = rested_at_s = now_s()
+    has_freed_much = is_left = False  # is_left: what was frozen while it was in use may be garbage by now
     while True:
         await asyncio.sleep(CHECK_INTERVAL_S)
-        has_worked, is_whole = gc.get_count()[2] >= ENOUGH, now_s() >= whole_at_s
-        if not (has_worked or (is_left and is_whole)) or robots.may_move(now_s()):
+        if robots.may_move(now_s()):
+            rested_at_s = now_s() + REST_S
+            continue
+        is_whole = now_s() >= whole_at_s or (has_freed_much and now_s() >= rested_at_s)
+        has_worked = gc.get_count()[2] >= ENOUGH
+        if not has_worked and not (is_left and is_whole):
             continue
         if is_whole:
             gc.unfreeze()
             whole_at_s = now_s() + WHOLE_INTERVAL_S
         is_left = has_worked
-        if gc.collect() >= WORTH:
-            whole_at_s = now_s()
+        has_freed_much = gc.collect() >= WORTH
         gc.freeze()  # Python collects by itself, too, also while a robot moves
 
 

@@ -21,12 +21,14 @@ OWN_QUEUE_BYTES = 128 * 1024  # of every client, independent of the other queues
 # it stays below the 250 MiB of docs/reliability.md.
 SHARES = {
     "receiving": 8 * MIB,  # messages over LARGE_BYTES that are not whole yet: over it they wait in their sockets
+    "operations": 4
+    * MIB,  # of clients, not executed yet: over it each client has few, and the rest waits in its socket
     "bodies": 4 * MIB,  # of large requests: over it they are refused (503)
     "latched": 32 * MIB,  # over it a message is delivered and not kept
     "queues": 40 * MIB,  # messages and answers for clients: over it the largest queue loses its oldest telemetry
     "held_back": 8 * MIB,  # by the pace of subscriptions: over it the oldest of the subscription is dropped
     "fragments": 8 * MIB,  # over it the message is dropped
-    "calls": 16 * MIB,  # arguments of services that have not answered: over it a call is refused
+    "calls": 12 * MIB,  # arguments of services that have not answered: over it a call is refused
     "watches": 4 * MIB,  # names that Foxglove's clients watch: over it a watch is refused
 }
 

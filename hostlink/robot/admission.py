@@ -58,7 +58,7 @@ import math
 import shlex
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Self, TypeVar
 
 from hostlink.errors import RefusalKind
 from hostlink.robot.velocity import AnyVelocity, Kinematics
@@ -137,16 +137,19 @@ class EarlierMotion:
 
 
 MAX_EARLIER = 1024  # commands to what does not exist, of the last lease
+ANY_SOURCE: Final = object()  # among the sources that commanded earlier: there were more than are known
 
 
 @dataclass(slots=True)
 class EarlierCommands:
     """Sources that commanded a robot or a topic before it existed.
 
-    A source that continues when it exists is in the middle of a motion. The newest MAX_EARLIER of one lease are known.
+    A source that continues when it exists is in the middle of a motion. The newest MAX_EARLIER of one lease are known;
+    while one of the others may continue, ANY_SOURCE is one of the sources of each name.
     """
 
     _at_s: dict[tuple[str, Hashable], float] = field(default_factory=dict)  # the newest is the last one
+    _forgotten_s: float = float("-inf")  # the newest command that is not kept
 
     @property
     def is_empty(self) -> bool:
@@ -158,11 +161,14 @@ class EarlierCommands:
         self._at_s.pop((name, source), None)
         self._at_s[name, source] = now_s
         while len(self._at_s) > MAX_EARLIER or now_s >= next(iter(self._at_s.values())) + LEASE_S:
-            self._at_s.pop(next(iter(self._at_s)))
+            self._forgotten_s = self._at_s.pop(next(iter(self._at_s)))
 
     def sources(self, name: str, now_s: float) -> tuple[Hashable, ...]:
         """Return the sources that have commanded this name within a lease."""
-        return tuple(source for (known, source), at_s in self._at_s.items() if known == name and now_s < at_s + LEASE_S)
+        found = [source for (known, source), at_s in self._at_s.items() if known == name and now_s < at_s + LEASE_S]
+        if now_s < self._forgotten_s + LEASE_S:
+            found.append(ANY_SOURCE)
+        return tuple(found)
 
 
 class Decision(NamedTuple):
@@ -462,9 +468,13 @@ class Admission:
             self.interrupt(now_s, by=named("an unlock", by))
 
     def join(self, sources: Iterable[Hashable], now_s: float) -> None:
-        """Note sources that have published to the robot since before it was subscribed."""
+        """Note sources that have published to the robot since before it was subscribed. ANY_SOURCE: so may each."""
         self._joined = {owner: motion for owner, motion in self._joined.items() if now_s < motion.until_s}
-        self._joined |= {owner: EarlierMotion.within_a_lease(now_s) for owner in sources}
+        joining = set(sources)
+        if ANY_SOURCE in joining:
+            joining = (joining - {ANY_SOURCE}) | self._sources.keys()
+            self.distrust(now_s)
+        self._joined |= {owner: EarlierMotion.within_a_lease(now_s) for owner in joining}
 
     def connect(self, now_s: float) -> bool:
         """The device is connected, or has other topics; returns whether that is an interruption."""

@@ -121,11 +121,12 @@ class GraphSync:
         if subscription is None:
             return
         self._node.counts.crowded_out += max(0, len(uris) - MAX_NAMED)
-        known = self._named.get(topic, []) if is_answer else []
-        named = self._named[topic] = merge_publishers(known, uris)
+        before = self._named.get(topic, [])
+        is_new = subscription.is_registered and len(before) < MAX_NAMED  # of a full list others were left out
+        named = self._named[topic] = merge_publishers(before if is_answer else [], uris)
         for uri in subscription.publishers.keys() - set(named):
             subscription.drop(uri)
-        self._connect(topic, subscription, named, is_new=subscription.is_registered)
+        self._connect(topic, subscription, named, is_new=is_new)
         subscription.is_registered = subscription.is_registered or is_answer
 
     def wanted(self) -> dict[tuple[RegistrationKind, str], str]:

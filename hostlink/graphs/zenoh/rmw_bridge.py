@@ -331,6 +331,7 @@ class Publishers:
         self._node, self._remote, self._log_once = node, remote, log_once
         self.is_known = remote.is_known  # whether a gid is that of a publisher; in any thread
         self._gone: dict[str, None] = {}  # tokens that may be back after a cut
+        self._has_forgotten = False  # one of them: each one that comes may be it
         self._began_s = asyncio.get_running_loop().time()
         self._publishers = Mirror[str, _Token, RmwPublisher](
             self._open,
@@ -355,6 +356,7 @@ class Publishers:
         self._gone[removed.publisher.key] = None
         if len(self._gone) > MAX_GONE:
             del self._gone[next(iter(self._gone))]
+            self._has_forgotten = True
         for each in removed.unsure:
             self._publishers.put(each.key, None)
             if each.key != removed.publisher.key:
@@ -391,7 +393,7 @@ class Publishers:
 
     def _open(self, key: str, spec: _Token) -> RmwPublisher:
         made = RmwPublisher(self._node, spec.token, self._log_once, lambda: self._publishers.put(key, None))
-        now_s, is_back = asyncio.get_running_loop().time(), key in self._gone
+        now_s, is_back = asyncio.get_running_loop().time(), self._has_forgotten or key in self._gone
         self._gone.pop(key, None)
         has_waited = now_s > spec.came_s + NEW_S  # for room
         if is_back or has_waited or now_s < self._began_s + MATCH_S:  # it was there before this daemon

@@ -10,15 +10,18 @@ from hypothesis import strategies as st
 
 from hostlink.api.access import GRANT, Grant
 from hostlink.api.clients import (
+    FEW,
     MANY,
     MAX_BYTES,
     MAX_MESSAGES,
+    OPERATION_BYTES,
     ClientQueue,
     Clients,
     Operation,
     OperationQueue,
     VelocityOf,
 )
+from hostlink.hub.byte_budget import ByteBudget, Share
 from hostlink.hub.node import Role
 from hostlink.robot.admission import UNORDERED_S
 from tests.support.virtual_loop import run_virtual, virtual
@@ -49,8 +52,8 @@ class Program:
         self.came_s[operation.content] = operation.came_s
 
 
-def operations(program: Program, messages_s: float = 1000.0) -> OperationQueue[str]:
-    return OperationQueue(program, lambda: None, messages_s)
+def operations(program: Program, messages_s: float = 1000.0, share: Share | None = None) -> OperationQueue[str]:
+    return OperationQueue(program, lambda: None, messages_s, ByteBudget()["operations"] if share is None else share)
 
 
 def outcome(*words: str) -> Program:
@@ -228,3 +231,32 @@ async def test_clients_count_dropped_messages_of_disconnected_clients() -> None:
     clients.leave(slow)
     clients.leave(stream)
     assert (clients.gone_dropped, clients.refused, clients.views()) == (3, 1, [])
+
+
+def test_clients_that_together_have_too_many_operations_have_few_each_and_all_are_executed() -> None:
+    share = Share(1000 * OPERATION_BYTES)
+    programs = [Program() for _ in range(100)]
+    boxes = [operations(program, share=share) for program in programs]
+    left = [list(map(str, range(300))) for _ in boxes]
+    most = 0
+    while any(left):
+        for box, words in zip(boxes, left, strict=True):
+            while words and box.has_room:
+                box.put(words.pop(0), 0.0, 0.0)
+            most = max(most, share.held_bytes)
+            box.work()
+    assert most < 1.1 * (1000 + len(boxes) * FEW) * OPERATION_BYTES
+    for box, program in zip(boxes, programs, strict=True):
+        while box.waiting:
+            box.work()
+        assert program.done == list(map(str, range(300)))
+    assert share.held_bytes == 0
+
+
+def test_client_that_has_ended_gives_the_room_of_what_waited_back() -> None:
+    share = Share(1000 * OPERATION_BYTES)
+    box = operations(Program(), share=share)
+    box.put("a", 0.0, 0.0)
+    assert share.held_bytes > 0
+    box.close()
+    assert share.held_bytes == 0

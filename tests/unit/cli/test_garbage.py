@@ -1,13 +1,15 @@
 """Garbage collection of the daemon: its times, and the objects that it looks at."""
 
 import asyncio
+import itertools
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from hostlink.cli import serve
-from hostlink.cli.serve import CHECK_INTERVAL_S, ENOUGH, WHOLE_INTERVAL_S, WORTH, collect_while_idle
+from hostlink.cli.serve import CHECK_INTERVAL_S, ENOUGH, REST_S, WHOLE_INTERVAL_S, WORTH, collect_while_idle
 from tests.support.virtual_loop import run_virtual
 
 USED = 400_000  # objects that are in use
@@ -39,17 +41,22 @@ class Collector:
         self.frozen = self.frozen_garbage = 0
 
 
-async def run(collector: Collector, seconds: float, *, is_moving: bool = False) -> None:
-    robots: Any = SimpleNamespace(may_move=lambda _: is_moving)
+async def run(seconds: float, may_move: Callable[[float], bool]) -> None:
+    robots: Any = SimpleNamespace(may_move=may_move)
     async with asyncio.timeout(seconds + CHECK_INTERVAL_S / 2):
         await collect_while_idle(robots)
 
 
-def collected(monkeypatch: pytest.MonkeyPatch, collector: Collector, seconds: float, *, is_moving: bool = False) -> int:
+def collected(
+    monkeypatch: pytest.MonkeyPatch,
+    collector: Collector,
+    seconds: float,
+    may_move: Callable[[float], bool] = lambda _: False,
+) -> int:
     """Run for so long; returns the number of collections."""
     monkeypatch.setattr(serve, "gc", collector)
     with pytest.raises(TimeoutError):
-        run_virtual(run(collector, seconds, is_moving=is_moving))
+        run_virtual(run(seconds, may_move))
     return len(collector.looked_at)
 
 
@@ -107,7 +114,20 @@ def test_garbage_of_the_last_connections_is_collected_in_a_daemon_that_does_noth
 
 
 def test_no_collection_runs_while_a_robot_moves_or_too_few_objects_are_new(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert collected(monkeypatch, Collector(), 30.0, is_moving=True) == 0
+    assert collected(monkeypatch, Collector(), 30.0, lambda _: True) == 0
     collector = Collector()
     collector.count = ENOUGH - 1
     assert collected(monkeypatch, collector, 30.0) == 0
+
+
+def test_between_two_drives_only_new_objects_are_looked_at_and_after_a_rest_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A stop may come at any time, and names that come and go free much each second."""
+    collector, checks = Collector(), itertools.count(1)
+    monkeypatch.setattr(collector, "collect", lambda: Collector.collect(collector) + WORTH)
+    driving = 26  # the check at which a robot moves for the last time
+    collected(monkeypatch, collector, driving + REST_S, lambda _: (check := next(checks)) <= driving and check % 5 == 1)
+    assert collector.looked_at[0] == collector.looked_at[-1] == USED
+    assert set(collector.looked_at[1:-1]) == {0}
+    assert len(collector.looked_at) > driving / 2

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from hostlink.errors import RefusalKind
 from hostlink.robot.admission import (
+    ANY_SOURCE,
     DRIFT,
     EARLIER_EPOCH,
     LEASE_S,
@@ -804,9 +805,38 @@ def test_commands_to_unknown_names_are_forgotten_after_a_lease_and_over_their_bo
     for number in range(MAX_EARLIER + 1):
         earlier.note("rover", number, 10.0)
     earlier.note("rover", 1, 10.1)
-    assert earlier.sources("rover", 10.1) == (*range(2, MAX_EARLIER + 1), 1)
+    assert earlier.sources("rover", 10.1) == (*range(2, MAX_EARLIER + 1), 1, ANY_SOURCE)
     earlier.note("rover", "script", 10.1 + LEASE_S)
-    assert earlier.sources("rover", 10.1) == ("script",)
+    assert earlier.sources("rover", 10.1 + LEASE_S) == ("script",)
+
+
+@pytest.mark.parametrize("has_record", [False, True])
+def test_source_that_is_one_of_too_many_earlier_ones_is_disarmed(*, has_record: bool) -> None:
+    earlier, admission = EarlierCommands(), Admission("rover")
+    script, other = (Command(PlanarVelocity(0.1), source, 50, 10.3) for source in ("script", "other"))
+    if has_record:
+        admission.connect(8.0)
+        assert admission.decide(script._replace(received_s=8.0), 8.0).kind is None
+        admission.disconnect(9.0)
+    earlier.note("rover", "script", 10.0)
+    for number in range(MAX_EARLIER):
+        earlier.note(f"rover_{number}", number, 10.1)
+    admission.join(earlier.sources("rover", 10.2), 10.2)
+    admission.connect(10.2)
+    assert admission.decide(script, 10.3).kind is RefusalKind.DISARMED
+    assert admission.decide(other, 10.3).kind is RefusalKind.DISARMED
+    again_s = 10.3 + LEASE_S
+    assert admission.decide(other._replace(received_s=again_s), again_s).kind is None
+
+
+def test_sources_are_known_again_a_lease_after_the_last_forgotten_command() -> None:
+    earlier, admission = EarlierCommands(), Admission("rover")
+    for number in range(MAX_EARLIER + 1):
+        earlier.note("rover", number, 10.0)
+    now_s = 10.0 + LEASE_S
+    admission.join(earlier.sources("rover", now_s), now_s)
+    admission.connect(now_s)
+    assert admission.decide(Command(PlanarVelocity(0.1), "script", 50, now_s), now_s).kind is None
 
 
 def test_source_that_commanded_a_name_before_its_robot_existed_is_disarmed() -> None:

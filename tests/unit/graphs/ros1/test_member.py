@@ -189,6 +189,22 @@ async def test_publishers_over_the_bounds_are_counted(made: Graph, monkeypatch: 
 
 
 @inside(with_graph)
+async def test_publisher_that_was_left_out_of_a_full_list_is_not_new(
+    made: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may have commanded all the time: when there is room for it, it is in the middle of its motion."""
+    monkeypatch.setattr(graph_sync, "MAX_NAMED", 3)
+    subscription = made.sync.subscriptions[VELOCITY]
+    uris = [f"http://a:{port}/" for port in range(1, 6)]
+    made.sync.set_publishers(VELOCITY, [], is_answer=True)
+    made.sync.set_publishers(VELOCITY, uris[:4], is_answer=False)
+    made.sync.set_publishers(VELOCITY, uris[2:4], is_answer=False)
+    assert subscription.publishers[uris[3]]._new_until_s == 0.0
+    made.sync.set_publishers(VELOCITY, uris[2:], is_answer=False)
+    assert subscription.publishers[uris[4]]._new_until_s > 0.0
+
+
+@inside(with_graph)
 async def test_publishers_of_one_topic_have_a_bound(made: Graph) -> None:
     uris = [f"http://a:{port}/" for port in range(900)]
     made.sync.set_publishers(VELOCITY, uris, is_answer=False)
