@@ -36,7 +36,7 @@ class State:
     past: list[dict[str, Any]] = field(default_factory=list)  # where each robot drove before the page was opened
     past_events: list[dict[str, Any]] = field(default_factory=list)  # of each robot, before the page was opened
     log: list[dict[str, Any]] = field(default_factory=list)  # lines that each page receives
-    topics: list[dict[str, Any]] = field(default_factory=list)  # beside the odometry of robot_0
+    topics: list[dict[str, Any]] = field(default_factory=list)  # besides the odometry of robot_0
     incidents: list[dict[str, Any]] = field(default_factory=list)  # each with `past` and `past_events`
     role: str = "drive"
     refusal: str = ""  # of every request that changes something

@@ -182,7 +182,7 @@ async def test_a_window_whose_size_changes_lets_go_of_the_stick(scene: Scene) ->
 
 
 async def test_findings_and_errors_do_not_move_the_stick_of_a_phone(browser: Browser) -> None:
-    """They come while it is held, and an error of a robot that drives is what they often tell of."""
+    """Both appear while the stick is held, and an error of a robot that drives is what they often report."""
     async with page_server() as server, visit(browser, server.url, viewport=PHONE, has_touch=True) as tab:
         state = fleet("robot_0")
         known = state.links[0]["topics"][0]

@@ -292,7 +292,7 @@ async def test_the_log_keeps_its_newest_line_in_view_in_every_layout(browser: Br
         await tab.page.locator("#log [role=log]").evaluate("box => { box.scrollTop = 0; }")
         server.show(fleet(1))
         await tab.shows("#log", "unlocked")
-        await expect_page(tab.page.locator("#log li").last).not_to_be_in_viewport()  # somebody reads earlier lines
+        await expect_page(tab.page.locator("#log li").last).not_to_be_in_viewport()  # a person reads earlier lines
 
 
 async def test_the_knob_of_the_stick_covers_no_text(browser: Browser) -> None:

@@ -326,7 +326,7 @@ class Fleet:
         """Leave the fleet: the robots of others are unknown, and what others drive here stops."""
         self._has_ended = True
         self._hub.gates.reach(None)
-        self._states.end()  # before the token goes
+        self._states.end()  # before the token is removed
         for declaration in (*self._declarations, self._tokens):
             declaration.close()
         self._topics.end()

@@ -358,7 +358,7 @@ def test_bag_whose_last_chunk_is_cut_gives_its_messages(tmp_path: Path, has_leng
     assert found.damage == ["the file was not finished"]
 
 
-def test_file_that_is_no_bag_is_refused(tmp_path: Path) -> None:
+def test_file_that_is_not_a_bag_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.bag.active"
     path.write_bytes(b"#ROSBAG V2.0\n" + b"x" * 100)
     with pytest.raises(RecordingFailed, match="cannot be read"):
