@@ -23,6 +23,7 @@ from hostlink.errors import BadRequest, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.robot import LocalRobot
+from hostlink.loop_time import loop_time_s
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.black_box import MAX_DETAIL, BlackBox
 from hostlink.recording.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
@@ -269,13 +270,20 @@ class HistoryRoutes:
                 request.transport.abort()
         return response
 
-    def _collect(self, robot: LocalRobot) -> tuple[list[Iterator[Entry]], Pose | None]:
-        """Copy the messages and the pose in the event loop's thread, so that they belong together."""
-        snapshot = robot.odometry.snapshot(asyncio.get_running_loop().time())
-        return self._black_box.rings.copies(robot.name), None if snapshot is None else snapshot.pose
+    def _collect(self, robot: LocalRobot) -> tuple[list[Iterator[Entry]], Pose | None, float]:
+        """Copy the messages, the pose and the time in the event loop's thread, so that they belong together."""
+        now_s = loop_time_s()
+        snapshot = robot.odometry.snapshot(now_s)
+        return self._black_box.rings.copies(robot.name), None if snapshot is None else snapshot.pose, now_s
 
     def _body(
-        self, robot: LocalRobot, copies: list[Iterator[Entry]], present: Pose | None, *, is_chosen: bool = True
+        self,
+        robot: LocalRobot,
+        copies: list[Iterator[Entry]],
+        present: Pose | None,
+        now_s: float,
+        *,
+        is_chosen: bool = True,
     ) -> bytes:
         """Read thousands of messages, in a thread. Without `is_chosen`, return only poses and events."""
         rest = Pauses()
@@ -285,7 +293,7 @@ class HistoryRoutes:
         for entry in heapq.merge(*copies, key=lambda entry: entry.at_s):
             rest()
             history.add(entry)
-        estimator, now_s = robot.odometry.anew(), time.monotonic()
+        estimator = robot.odometry.anew()
         if is_chosen:
             return encode_history(history_view(self._hub.catalog, history, estimator, present, now_s, rest), rest)
         return encode_history(

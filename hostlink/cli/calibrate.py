@@ -36,6 +36,7 @@ from hostlink.robot.calibration_checks import (
     complaint_of_run,
     complaint_of_runs,
     confirm,
+    doubt_of_squares,
 )
 from hostlink.robot.course import Speed
 from hostlink.robot.odometry import OdometryCorrection
@@ -242,7 +243,7 @@ class GuidedCalibration:
         """Find the wheels that explain all drives; repeat drives that contradict the others.
 
         Raises:
-            HostlinkError: the person does not repeat a contradicting drive.
+            HostlinkError: the person does not repeat a contradicting drive, or entered the squares in a wrong unit.
         """
         runs = self._saved.runs
         while complaint := complaint_of_runs(runs, self._saved.nominal):
@@ -253,6 +254,8 @@ class GuidedCalibration:
             runs[number] = self._drive(self._steps[number], f"{number + 1} again", uncorrected(self._saved.nominal))
             self._saved.checks.clear()
             self._state.save()
+        if self._session.is_patient and (doubt := doubt_of_squares(runs)) and not self._session.goes_on(doubt):
+            raise HostlinkError("no result is used; run the same command with --anew to measure all drives again")
         return calibrated(runs, self._saved.nominal)
 
     def _check(self, found: Calibration) -> Confirmation:

@@ -270,7 +270,7 @@ class AtTheTerminal:
     def goes_on(self, doubt: str) -> bool:
         """Ask whether a doubtful number is right."""
         write_error(f"  {doubt}")
-        return _prompt("  Press y if the number is right, Enter to leave: ").strip().lower() in ("y", "yes")
+        return _prompt("  Press y if what you entered is right, Enter to leave: ").strip().lower() in ("y", "yes")
 
     def choose(self, complaint: str, titles: Sequence[str]) -> int | None:
         """Ask which drive to measure again; None to give up."""

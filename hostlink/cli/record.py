@@ -29,6 +29,7 @@ from hostlink.recording.folder import is_name
 POLL_S = 0.5
 BAGS = (".bag", ".db3")  # names of files of ROS
 _PATH = "/api/recordings"
+_CAUSES = {"lease": "silent"}  # as a user reads it; programs read the other one
 
 
 def record(
@@ -334,7 +335,7 @@ def incidents(
             [
                 time_text(each["at"], here),
                 each["robot"],
-                each["cause"],
+                _CAUSES.get(each["cause"], each["cause"]),
                 each["file"] or "being saved",
                 each["detail"],
             ]

@@ -31,6 +31,7 @@ from hostlink.hub.gates import Guard
 from hostlink.hub.hub import Hub, Listening
 from hostlink.hub.reloader import Read, Reloader
 from hostlink.hub.robots import Robots
+from hostlink.hub.stall_watch import slept_s
 from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
 from hostlink.listening import close_all, spelled
 from hostlink.log_budget import Budget
@@ -87,7 +88,7 @@ async def running(
         config.message_folders
     )  # one may be on a dead disk, while the event loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
-    hub = Hub(config, catalog, guard=guard)
+    hub = Hub(config, catalog, guard=guard, slept_s=slept_s)
     reloader = Reloader(hub, read)
     try:
         async with (

@@ -48,7 +48,7 @@ class Callers:
     A call that waits does not count: it may wait for ever.
     """
 
-    def __init__(self, clock: Callable[[], float] = boot_s) -> None:
+    def __init__(self, clock: Callable[[], float]) -> None:
         """`clock`: in seconds; it also counts while the computer sleeps."""
         self.now_s = clock
         self._called_s: weakref.WeakKeyDictionary[Caller, float] = weakref.WeakKeyDictionary()

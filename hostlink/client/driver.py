@@ -92,14 +92,12 @@ class VelocitySender:
     raises why, once, instead of driving.
     """
 
-    def __init__(
-        self, connection: HostConnection, callers: Callers | None = None, *, idle_timeout_s: float = IDLE_TIMEOUT_S
-    ) -> None:
+    def __init__(self, connection: HostConnection, callers: Callers, *, idle_timeout_s: float = IDLE_TIMEOUT_S) -> None:
         """`callers`: the calls of the program, and the clock."""
         self.refusals: dict[str, Refusal | None] = {}  # by robot: of the newest answered `command`
         self.client_name: str | None = None  # as the daemon's newest answer calls this connection
         self._connection = connection
-        self._callers = Callers() if callers is None else callers
+        self._callers = callers
         self._now_s, self._idle_timeout_s = self._callers.now_s, idle_timeout_s
         self._numbers = itertools.count(1)
         self._repeated: dict[str, Repeated] = {}

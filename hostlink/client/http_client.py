@@ -11,7 +11,7 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 import aiohttp
 import msgspec
 
-from hostlink.client.callers import Callers
+from hostlink.client.callers import Callers, boot_s
 from hostlink.client.views import Event
 from hostlink.errors import ConfigError, HostlinkError, Refused
 from hostlink.robot.standstill import Standstill, StandstillState
@@ -105,7 +105,7 @@ class HttpClient:
             headers={"Authorization": f"Bearer {token}"} if token else None,
             connector=aiohttp.TCPConnector(ssl=context),
         )
-        self.callers = Callers()
+        self.callers = Callers(boot_s)
         self._streams: weakref.WeakSet[aiohttp.ClientResponse] = weakref.WeakSet()
 
     async def aclose(self) -> None:

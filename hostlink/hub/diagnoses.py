@@ -18,7 +18,6 @@ from hostlink.diagnosis.rules import diagnose
 from hostlink.host_pauses import HostPauses
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.robot_events import EventKind, RobotEvents
-from hostlink.hub.stall_watch import slept_s
 from hostlink.link.capture_buffer import Captured
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
@@ -112,12 +111,14 @@ class Diagnoses:
         events: RobotEvents,
         pauses: Callable[[float], HostPauses],
         least_bytes: Callable[[str], int],
+        slept_s: Callable[[], float],
     ) -> None:
         """`events` gets each new finding. `pauses` returns when the host itself did not run.
 
-        `least_bytes` returns the size of the smallest message of a type; 0 if the type is unknown.
+        `least_bytes` returns the size of the smallest message of a type; 0 if the type is unknown. `slept_s` returns
+        for how long the computer has slept so far.
         """
-        self._least_bytes = least_bytes
+        self._least_bytes, self._slept_s = least_bytes, slept_s
         self._isolation, self._events, self._pauses = isolation, events, pauses
         words()  # read now: later there may be no descriptor for it
         self.ended: deque[Diagnosis] = deque(maxlen=ENDED_LINKS)
@@ -210,7 +211,7 @@ class Diagnoses:
         """Update every diagnosis once a second, until cancelled."""
         while True:
             now_s = loop_time_s()
-            self._host_clock = self._clock.check(now_s + slept_s(), time.time_ns())
+            self._host_clock = self._clock.check(now_s + self._slept_s(), time.time_ns())
             for diagnosis in list(self._live.values()):
                 with self._isolation.around("diagnosis", link=diagnosis.link.number):
                     await self._observe(diagnosis)

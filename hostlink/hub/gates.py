@@ -235,8 +235,18 @@ class RemoteHosts(Protocol):
 class Gates:
     """Sender of the velocities of all gates. Methods are synchronous; `run` is the clock."""
 
-    def __init__(self, isolation: Isolation, guard: Guard | None = None, events: RobotEvents | None = None) -> None:
-        """`guard` stops the devices when this process cannot. `events` gets commands and stops."""
+    def __init__(
+        self,
+        isolation: Isolation,
+        guard: Guard | None = None,
+        events: RobotEvents | None = None,
+        *,
+        slept_s: Callable[[], float],
+    ) -> None:
+        """`guard` stops the devices when this process cannot. `events` gets commands and stops.
+
+        `slept_s` returns for how long the computer has slept so far.
+        """
         self.events = RobotEvents() if events is None else events
         self.is_closed = False  # the daemon ends and accepts no commands
         self.hosts: RemoteHosts | None = None  # other daemons of the fleet
@@ -245,7 +255,7 @@ class Gates:
         self._admissions: Counter[Admission] = Counter()  # registrations of all robots and attached drivables
         self._active: dict[Drivable, None] = {}  # drivables whose gate may have a velocity to send
         self._wake = asyncio.Event()
-        self._stalls = StallWatch()
+        self._stalls = StallWatch(slept_s)
         self._unwritten: dict[Link, None] | None = None  # links with a velocity, between `hold` and `write`
 
     # -- which there are ----------------------------------------------------------------------------------------------

@@ -69,7 +69,16 @@ class Hub:
     `reraises` is for tests: a crash of one link ends the hub. Otherwise it is logged and counted.
     """
 
-    def __init__(self, config: Config, catalog: Catalog, *, reraises: bool = False, guard: Guard | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        catalog: Catalog,
+        *,
+        reraises: bool = False,
+        guard: Guard | None = None,
+        slept_s: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        """`slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out."""
         self.config, self.catalog = config, catalog
         self.is_running = asyncio.Event()  # `spawn` works when it is set
         self.counts = Counts()
@@ -85,9 +94,9 @@ class Hub:
             WeakValueDictionary()
         )  # by group, while participants use them
         self.events = RobotEvents()
-        self.gates = Gates(self.isolation, guard, self.events)
+        self.gates = Gates(self.isolation, guard, self.events, slept_s=slept_s)
         self.share = FairShare(self.gates.came_s)  # of the event loop, for links and participants
-        self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses, catalog.least_bytes)
+        self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses, catalog.least_bytes, slept_s)
         self.robots = Robots(self)
         self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()

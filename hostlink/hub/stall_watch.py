@@ -41,8 +41,8 @@ def slept_s(boot_s: Callable[[], float] = _boot_s, running_s: Callable[[], float
 class StallWatch:
     """Detector of pauses: SIGSTOP, a debugger, a paused virtual machine, a sleeping computer, or a blocked loop."""
 
-    def __init__(self, slept_s: Callable[[], float] = slept_s) -> None:
-        """`slept_s` returns for how long the computer has slept so far."""
+    def __init__(self, slept_s: Callable[[], float]) -> None:
+        """`slept_s` returns for how long the computer has slept so far, which the times of the methods leave out."""
         self._slept_s = slept_s
         self._slept_before_s = slept_s()
         self._beat_s: float | None = None  # None before the first beat

@@ -10,7 +10,6 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable
 from pathlib import Path
-from time import monotonic
 
 import structlog
 
@@ -64,13 +63,14 @@ class BlackBox:
         self.rings = Rings(self._memory, keep_s=config.before_s + config.after_s)
         self._add = self.rings.add
         self._hub, self._config = hub, config
+        self._now_s = asyncio.get_running_loop().time  # lines of other threads are kept, too
         self._rules = IncidentRules()
         self._channels: defaultdict[str, dict[Channel, None]] = defaultdict(dict)  # by robot
         self._unsaved: dict[Incident, str] = {}  # name of each incident's fact in the memory
         self._numbers = itertools.count()
         self._turn = asyncio.Lock()  # one file at a time, because the thread slows the loop
         self._thread = DetachedThread("incident")
-        self._ends_at_s: float | None = None  # monotonic end of writing when the daemon ends
+        self._ends_at_s: float | None = None  # end of writing when the daemon ends
         self._recorder = Recorder(hub, self, TopicSelection(is_local=True))
         self._observer = hub.join_daemon()
 
@@ -96,7 +96,7 @@ class BlackBox:
         self._recorder.stop()
         self._observer.leave()
         end_s = LONGEST_END_S if self._memory.folder is None else END_S
-        self._ends_at_s = monotonic() + end_s
+        self._ends_at_s = self._now_s() + end_s
         self._memory.put_fact(CLOSED, "in order")
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(end_s):
@@ -121,7 +121,7 @@ class BlackBox:
         note_newest(self._channels[channel.robot], channel, MAX_CHANNELS)
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
-        self._add(robot, channel, stamp_ns, payload, monotonic())
+        self._add(robot, channel, stamp_ns, payload, self._now_s())
 
     def save(self, robot: str, reason: str) -> Incident:
         """Save a robot's last minutes on request.
@@ -133,7 +133,7 @@ class BlackBox:
         found = self._hub.robots.find_here(robot.strip("/"))
         if not self._config.enabled:
             raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
-        incident = Incident(found.name, "requested", reason[:MAX_DETAIL], time.time_ns(), monotonic())
+        incident = Incident(found.name, "requested", reason[:MAX_DETAIL], time.time_ns(), self._now_s())
         requested = sum(each.cause == "requested" for each in self.pending)
         if requested >= MAX_REQUESTED or not self._begin(incident):
             raise RecordingBusy(
@@ -207,7 +207,7 @@ class BlackBox:
         """
         if self._ends_at_s is None:
             time.sleep(REST_S)
-        elif monotonic() > self._ends_at_s:
+        elif self._now_s() > self._ends_at_s:
             raise OutOfTime
 
     async def _salvage(self, on_last_commands: Callable[[list[LastCommand]], None]) -> None:

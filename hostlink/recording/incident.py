@@ -77,7 +77,7 @@ class IncidentRules:
         was_driven = self._is_driven.pop(event.robot, False) if event.kind in _ENDS else False
         match event.kind:
             case EventKind.STOPPED if was_driven and facts["reason"] == LEASE_ENDED:
-                return "lease", f"no command from {facts['owner']} within the lease"
+                return "lease", f"{facts['owner']} sent no new velocity in time"
             case EventKind.STOPPED if was_driven and facts["reason"] == HOST_AWAY:
                 return "lease", f"{HOST_AWAY} while {facts['owner']} drove"
             case EventKind.STOPPED if was_driven and facts["reason"] not in ORDERLY:  # the program itself has said why

@@ -392,7 +392,7 @@ class Admission:
     def _late_text(self, command: Command[Any], waited_s: float) -> str:
         """Return why a command is too old; empty: it is not."""
         if waited_s >= self.lease_s:
-            return f"velocity is {waited_s:.1f} s old, the lease is {self.lease_s:g} s; send a new one"
+            return f"velocity is {waited_s:.1f} s old, and holds for {self.lease_s:g} s; send a new one"
         if command.stamp_age_s is not None and command.stamp_age_s > self.max_stamp_age_s:
             return f"its stamp is {command.stamp_age_s:.3f} s old, cmd_vel_max_age_s allows {self.max_stamp_age_s:g}"
         return ""

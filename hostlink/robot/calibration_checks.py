@@ -30,6 +30,7 @@ MOST_LEFT = 0.1  # of the side, that no wheels explain
 MUCH_BETTER = 3.0  # how many times smaller the remains of another reading of the same numbers are
 LEAST_LEFT = 0.02  # of the side: remains that need no other reading; the robot and the tape leave as much
 SMALL_END = 0.05  # of the side: a square that ends so near where it is expected needs no other unit
+TINY_END = 0.01  # of the side: a hundredth of MOST_OFF_SQUARE
 UNIT_FACTORS = {"metres": 100.0, "millimetres": 0.1, "inches": 2.54}  # of what was taken for centimetres
 SLIPS = (10.0, 100.0, 1000.0, 2.54, 25.4, 39.37)  # between two units, or of a decimal point
 ALIKE = 0.05  # of such a factor
@@ -79,6 +80,23 @@ def complaint_of_nominal(nominal: WheelGeometry, known: WheelGeometry) -> str:
                 "a decimal slip, or a unit? Numbers are metres"
             )
     return ""
+
+
+def doubt_of_squares(runs: Sequence[MeasuredRun]) -> str:
+    """Ask whether squares that all end at their start, to a hundredth of their side, were measured in a larger unit.
+
+    A robot may drive so well. If it does not, its numbers were entered 100 times too small, and the check drives
+    cannot show that, because the same person measures them.
+    """
+    squares = [run for run in runs if run.kind in _SQUARES]
+    ends = [math.hypot(*run.measured[:2]) for run in squares]
+    if not any(ends) or any(end_m > TINY_END * run.size for end_m, run in zip(ends, squares, strict=True)):
+        return ""
+    farthest = squares[ends.index(max(ends))].measured
+    return (
+        f"every square ends within {max(ends) * 1000:.1f} mm of its start, for example at {_xy(farthest)}. "
+        "Few robots drive so well. Were metres entered as centimetres?"
+    )
 
 
 def complaint_of_runs(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> str:

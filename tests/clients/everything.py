@@ -55,17 +55,17 @@ def drive(ros: Any, other: Any) -> Any:
 
 
 def refused(ros: Any) -> list[str]:
-    """Drive a locked robot: what roslibpy logs of the status that it does not know."""
+    """Drive a locked robot: what roslibpy logs, which has no handler for a status."""
     lines: list[str] = []
     noting = logging.Handler()
-    noting.emit = lambda record: lines.append(record.exc_info[1].args[0])
+    noting.emit = lambda record: lines.append(record.getMessage())
     logging.getLogger("roslibpy").addHandler(noting)
     roslibpy.Service(ros, "/robot_0/lock", "std_srvs/Trigger").call(roslibpy.ServiceRequest(), timeout=WAIT_S)
     velocity = roslibpy.Topic(ros, "/robot_0/cmd_vel", "geometry_msgs/Twist")
     for _ in range(3):
         velocity.publish(roslibpy.Message({"linear": {"x": 0.3}}))
-    until(lambda: lines)
     velocity.unadvertise()
+    # Its answer follows what hostlink sends of the velocities.
     roslibpy.Service(ros, "/robot_0/unlock", "std_srvs/Trigger").call(roslibpy.ServiceRequest(), timeout=WAIT_S)
     logging.getLogger("roslibpy").removeHandler(noting)
     return lines

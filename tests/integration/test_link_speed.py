@@ -21,8 +21,6 @@ HELLO = encode(Id.TIME, bytes(8)) + encode(Id.PUBLISHER, encode_topic_info(INFO)
 FRAMES = 4000
 ROUNDS = 7
 LEAST_SHARE = 0.2  # 0.24 to 0.43 with other programs running; frames of 1 KiB that are read in three parts reach 0.15
-    0.2  # 0.24 to 0.43 here, also beside other programs; frames of 1 KiB that are read in three parts reach 0.15
-)
 
 
 def _ignore(_link: Link, _event: Event) -> None:

@@ -257,7 +257,7 @@ class FleetRequests:
         if before is not None and not velocity.is_zero:
             self._raise_refusal(before, now_s)
         if not velocity.is_zero and not neighbour.answers(now_s, ANSWER_TIMEOUT_S):
-            raise DeviceGone(robot.name, f"{robot.host} does not answer; its robots stop by their own lease")
+            raise DeviceGone(robot.name, f"{robot.host} does not answer; its robots stop there by themselves")
         neighbour.unanswered_since_s = min(neighbour.unanswered_since_s, now_s)
         if owner not in self._owners:
             self._owners[owner] = next(self._owner_numbers)

@@ -264,11 +264,11 @@ class DriveRecord:
         if len(samples) < LEAST_COMMANDS // 2:
             return
         began_s = samples[0][0]
-        self.latest_p99_s = percentile([latency_s for _, latency_s in samples], 0.99)
+        own_s = [self._own_s(sent_s, latency_s) for sent_s, latency_s in samples]
+        self.latest_p99_s = percentile(own_s, 0.99)
         limit_s = self._limits.p99_s * self._noise.stretch(began_s, now_s) + self._lag(began_s) + self.baseline_s
-        limit_s += self._away_s(began_s, now_s)
         if self.latest_p99_s > limit_s:
-            median_s = percentile([each for _, each in samples], 0.5)
+            median_s = percentile(own_s, 0.5)
             detail = f"median {median_s:.4f} s of {len(samples)} commands, by {self._way}"
             self._found.append(Violation("command p99", self.latest_p99_s, limit_s, detail, at_s=began_s))
             self._latencies.clear()
@@ -279,6 +279,14 @@ class DriveRecord:
         if now_s - requested_s > limit_s:
             self._fail(f"the honest robot's {what} is answered", requested_s, now_s, limit_s)
             del self._requested[what]
+
+    def _own_s(self, sent_s: float, latency_s: float) -> float:
+        """Return a command's latency without the time in which the daemon could not run, or refuses after a pause."""
+        if latency_s <= self._limits.p99_s:
+            return latency_s
+        until_s = sent_s + latency_s
+        away_s = self._noise.refusing_s(sent_s, until_s) + self._noise.absent_s(sent_s, until_s)
+        return max(0.0, latency_s - self._noise.waited_s(sent_s, until_s) - away_s)
 
     def _overdue(self, now_s: float) -> list[tuple[float, float]]:
         return [(sent_s, now_s - sent_s) for _, sent_s in self._waiting if now_s - sent_s > OVERDUE_S]

@@ -3,6 +3,8 @@
 import math
 from collections import deque
 
+from hostlink.hub.stall_watch import BEAT_S, GRACE_S, STALL_S
+
 KEPT = 4000  # samples: ten minutes and more
 
 
@@ -35,6 +37,19 @@ class Noise:
     def paused_s(self, begin_s: float, end_s: float) -> float:
         """Return for how long the daemon was stopped by signals in an interval."""
         return _overlap(self._pauses, begin_s, end_s)
+
+    def refusing_s(self, begin_s: float, end_s: float) -> float:
+        """Return for how long the daemon was stopped by signals or refused velocities after such a stop.
+
+        After a pause of a lease it refuses what it reads within GRACE_S, which may have waited through the pause.
+        """
+        total_s, reached_s = 0.0, begin_s
+        for began_s, ended_s in sorted(self._pauses):
+            is_long = ended_s - began_s > STALL_S - BEAT_S  # the daemon counts from the beat before
+            until_s = min(ended_s + GRACE_S * is_long, end_s)
+            total_s += max(0.0, until_s - max(began_s, reached_s))
+            reached_s = max(reached_s, until_s)
+        return total_s
 
     def absent_s(self, begin_s: float, end_s: float) -> float:
         """Return for how long the daemon was absent in an interval."""

@@ -202,6 +202,10 @@ class Answers(io.StringIO):
                 return f"{end.x_m} m\n"
             case "y":
                 return f"{end.y_m * 100} cm\n"
+            case "x in a wrong unit":
+                return f"{end.x_m} cm\n"
+            case "y in a wrong unit":
+                return f"{end.y_m} cm\n"
         return word
 
 
@@ -301,6 +305,18 @@ def test_numbers_that_contradict_each_other_are_entered_again(
     found, _ = guided(tmp_path, drives).run()
     assert found.geometry == pytest.approx(TRUE, rel=1e-3)
     assert "a square of 1 m, clockwise: -25.0 cm forward, -50.0 cm to the left" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("answer", "is_kept"), [("y\n", True), ("\n", False)])
+def test_squares_that_end_at_their_start_are_doubted(
+    answer: str, is_kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drives = ExactDrives()
+    tiny = ["start", "x in a wrong unit", "y in a wrong unit"]
+    monkeypatch.setattr("sys.stdin", Answers(drives, [*DRIVE, *tiny, *tiny, answer]))
+    with pytest.raises(HostlinkError, match="standard input is closed" if is_kept else "no result is used"):
+        guided(tmp_path, drives).run()
+    assert "Were metres entered as centimetres?" in capsys.readouterr().err
 
 
 def test_interrupted_calibration_continues_with_the_next_drive(

@@ -6,7 +6,7 @@ from typing import Any, cast
 import msgspec
 import pytest
 
-from hostlink.client.callers import Callers
+from hostlink.client.callers import Callers, boot_s
 from hostlink.client.connection import HostConnection
 from hostlink.client.http_client import HttpClient
 from hostlink.errors import HostlinkError
@@ -35,7 +35,7 @@ def shared(connection: HostConnection, type_name: str) -> Any:
 
 class Http:
     url = "http://nowhere"
-    callers = Callers()
+    callers = Callers(boot_s)
 
     def __init__(self) -> None:
         self.socket = Socket()

@@ -9,17 +9,19 @@ import pytest
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused, DeviceGone, FrameTooLarge, HostlinkError, RefusalKind
 from hostlink.hub.gates import FEED_INTERVAL_S, MAX_GUARDED, Refusals, is_velocity
+from hostlink.hub.hub import Hub
 from hostlink.hub.node import Node
 from hostlink.hub.robot_events import LEASE_ENDED, LET_GO, NOT_TAKEN, OTHER_TOPICS, EventKind, RobotEvent
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 from tests.support.compiled_modules import replaces_a_method
-from tests.support.fake_device import robot_topics, topic
+from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.remote_robots import remote_robot
-from tests.support.virtual_loop import VirtualLoop, run_virtual
+from tests.support.ros_lib_device import running_hub
+from tests.support.virtual_loop import VirtualLoop, run_virtual, virtual
 
 SLOW, FAST = PlanarVelocity(0.1), PlanarVelocity(0.4)
 
@@ -474,12 +476,23 @@ def test_end_of_a_link_sends_zero_to_what_may_move() -> None:
     in_hub(test)
 
 
+@virtual
+async def test_sleep_of_the_computer_is_a_pause_of_the_hub_that_was_given_its_clock() -> None:
+    slept_s = 0.0
+    hub = Hub(Config(), CATALOG, reraises=True, slept_s=lambda: slept_s)
+    async with running_hub(hub):
+        await asyncio.sleep(1.0)
+        slept_s = 30.0
+        await asyncio.sleep(1.0)
+        assert hub.gates.pauses(2.0).was_paused(0.9)
+
+
 def test_gates_without_events_keep_their_own() -> None:
     async def test() -> None:
         from hostlink.hub.gates import Gates  # noqa: PLC0415 - of this test alone
         from hostlink.hub.isolation import Isolation  # noqa: PLC0415
 
-        gates = Gates(Isolation(reraises=True))
+        gates = Gates(Isolation(reraises=True), slept_s=lambda: 0.0)
         gates.stop([])
         await gates.settled()
         assert gates.came_s(5.0) == 5.0

@@ -8,14 +8,14 @@ from hostlink.hub.stall_watch import BEAT_S, GRACE_S, MAX_READINGS, STALL_S, Sta
 
 
 def test_a_loop_in_time_is_not_late() -> None:
-    stalls = StallWatch()
+    stalls = StallWatch(lambda: 0.0)
     for beats in range(5):
         stalls.beat(beats * BEAT_S)
         assert stalls.late_s((beats + 0.9) * BEAT_S) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_long_turn_is_known_before_the_beat_that_it_delays_and_until_the_next_one() -> None:
-    stalls = StallWatch()
+    stalls = StallWatch(lambda: 0.0)
     stalls.beat(10.0)
     stalls.expect(10.05)
     assert stalls.late_s(10.35) == pytest.approx(0.3, abs=1e-3)
@@ -26,7 +26,7 @@ def test_a_long_turn_is_known_before_the_beat_that_it_delays_and_until_the_next_
 
 
 def test_many_commands_of_one_late_turn_are_all_late() -> None:
-    stalls = StallWatch()
+    stalls = StallWatch(lambda: 0.0)
     stalls.beat(10.0)
     stalls.expect(10.05)
     for _ in range(3):
@@ -38,7 +38,7 @@ def test_many_commands_of_one_late_turn_are_all_late() -> None:
 
 
 def test_before_the_first_beat_nothing_is_late() -> None:
-    assert StallWatch().late_s(5.0) == 0.0
+    assert StallWatch(lambda: 0.0).late_s(5.0) == 0.0
 
 
 def test_bytes_read_after_a_sleep_of_the_computer_have_waited_as_long() -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import tempfile
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from hostlink.hub.hub import Hub
 from hostlink.protocol.frame import Id
 from hostlink.recording import black_box as module
 from hostlink.recording.black_box import MAX_DETAIL, MAX_REQUESTED, BlackBox
+from hostlink.recording.channel import ros_channel
 from hostlink.recording.drives import LastCommand
 from hostlink.recording.incident import read_incident
 from hostlink.recording.reader import McapReader
@@ -22,6 +24,7 @@ from hostlink.recording.ring import RingMemory
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, topic
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, ScriptedDevice, robot_topics
+from tests.support.virtual_loop import virtual
 from tests.support.waiting import TIMEOUT_S, expect
 
 TEXT = f"/{ROBOT}/text"
@@ -186,3 +189,14 @@ async def test_locking_driving_and_ending_a_played_robot_makes_no_incident(tmp_p
         await played.aclose()
         await expect(lambda: robot.link is None)
         assert [each.robot for each in box.pending] == [ROBOT]
+
+
+@virtual
+async def test_messages_have_the_time_of_the_event_loop() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        hub = Hub(Config(), CATALOG, reraises=True)
+        box = BlackBox(hub, Path(folder))
+        await asyncio.sleep(1000.0)
+        box.put(ros_channel(TEXT, "std_msgs/String", None, is_latched=False, robot=ROBOT), 0, b"", ROBOT)
+        assert [entry.at_s for copy in box.rings.copies(ROBOT) for entry in copy] == [1000.0]
+        await box.aclose()

@@ -423,7 +423,7 @@ def test_source_continues_after_an_absence_within_resume_after_reconnect(
 def test_command_that_waited_for_a_lease_is_refused(robot: Timeline, waited_s: float) -> None:
     refusal = robot.command(waited_s=waited_s)
     assert refusal.kind is RefusalKind.LATE
-    assert refusal.reason == f"robot_0: velocity is {waited_s:.1f} s old, the lease is 0.5 s; send a new one"
+    assert refusal.reason == f"robot_0: velocity is {waited_s:.1f} s old, and holds for 0.5 s; send a new one"
     assert robot.command(waited_s=LEASE_S - 0.01).is_admitted
 
 

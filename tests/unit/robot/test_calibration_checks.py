@@ -9,12 +9,14 @@ import pytest
 
 from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry, calibrated, uncorrected
 from hostlink.robot.calibration_checks import (
+    TINY_END,
     complaint_of_nominal,
     complaint_of_run,
     complaint_of_runs,
     confirm,
+    doubt_of_squares,
 )
-from tests.unit.robot.drives import ExactRobot
+from tests.unit.robot.drives import SIDE_M, ExactRobot
 
 NOMINAL = WheelGeometry()
 BAD = WheelGeometry(0.0448, 0.0453, 0.2142)
@@ -55,7 +57,7 @@ def test_an_honest_person_has_no_complaint() -> None:
 @pytest.mark.parametrize(
     ("kind", "measured", "text"),
     [
-        (RunKind.STRAIGHT, (30.1, 0.0, None), "30.10 m, the odometry 2.99"),
+        (RunKind.STRAIGHT, (30.1, 0.0, None), "30.10 m, the odometry 3.00"),
         (RunKind.STRAIGHT, (0.301, 0.0, None), "decimal slip"),
         (RunKind.STRAIGHT, (3.0, 2.3, None), "230 cm to the side"),
         (RunKind.SQUARE_CW, (-4.2, -7.0, None), "cm apart after one square"),
@@ -161,9 +163,8 @@ def test_drawn_robots_with_an_honest_person_have_no_complaint(seed: int) -> None
     runs = ExactRobot(NOMINAL, true, noise_m=0.002, seed=seed).drives()
     assert [complaint_of_run(run, OWN) for run in runs] == [""] * len(runs)
     assert complaint_of_runs(runs, NOMINAL) == ""
-    off_m = max(math.hypot(*run.measured[:2]) for run in runs if run.kind in SQUARES)
-    if off_m > 0.2:  # with less, metres for centimetres are within the scatter of the squares
-        assert complaint_of_runs(all_squares(runs, 0.01, 0.01), NOMINAL) != ""
+    tiny = all_squares(runs, 0.01, 0.01)
+    assert complaint_of_runs(tiny, NOMINAL) or doubt_of_squares(tiny)
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.1, 0.1), (-1.0, -1.0)], ids=["decimal slip", "towards the wrong side"])
@@ -209,3 +210,18 @@ def test_wheels_that_are_both_too_large_are_a_gain_for_lines_alone() -> None:
 def test_squares_without_turns_on_the_spot_say_nothing_of_units() -> None:
     runs = [run for run in RUNS if run.kind not in (RunKind.TURNS_CCW, RunKind.TURNS_CW)]
     assert complaint_of_runs(runs, NOMINAL) == ""
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_squares_of_drawn_robots_are_doubted_when_metres_are_taken_for_centimetres(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    size, uneven, apart = random.uniform(-0.03, 0.03), random.uniform(-0.008, 0.008), random.uniform(-0.06, 0.06)
+    true = WheelGeometry(0.045 * (1 + size - uneven), 0.045 * (1 + size + uneven), 0.21 * (1 + apart))
+    runs = ExactRobot(NOMINAL, true, noise_m=0.002, seed=seed).drives()
+    assert doubt_of_squares(all_squares(runs, 0.01, 0.01)) != ""
+    off_m = max(math.hypot(*run.measured[:2]) for run in runs if run.kind in SQUARES)
+    assert (doubt_of_squares(runs) == "") == (off_m > TINY_END * SIDE_M)
+
+
+def test_squares_that_end_exactly_at_their_start_are_not_doubted() -> None:
+    assert doubt_of_squares(all_squares(RUNS, 0.0, 0.0)) == ""

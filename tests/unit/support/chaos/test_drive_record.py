@@ -325,3 +325,14 @@ def test_drive_record_with_a_restart_that_leaves_the_robot_moving_finds_it() -> 
     story.record.daemon_left(story.now_s, "SIGTERM")
     story.after(0.1).event("closed", False)
     assert story.found() == ["the last velocity of a daemon is zero"]
+
+
+def test_a_command_is_as_late_as_the_daemon_made_it_also_beside_a_pause() -> None:
+    """The time of a pause excuses the commands that waited through it, and no others."""
+    noise = Noise(stretch_most=3.0)
+    story = Story(noise)
+    noise.pause(story.now_s, story.now_s + 0.9)
+    story.drive(count=3, latency_s=0.3)
+    assert story.after(1.0).found() == []
+    story.drive(count=100, latency_s=0.15)
+    assert story.found() == ["command p99"]

@@ -2,6 +2,7 @@
 
 import pytest
 
+from hostlink.hub.stall_watch import GRACE_S
 from tests.support.chaos.noise import Noise
 
 
@@ -55,3 +56,12 @@ def test_noise_with_a_pause_that_lasts_counts_the_part_inside_the_time(noise: No
     assert noise.absent_s(0.0, 10.0) == 0.0
     noise.absence(6.0, 7.5)
     assert noise.absent_s(0.0, 7.0) == 1.0
+
+
+def test_the_time_after_a_long_pause_in_which_velocities_are_refused_is_counted_once() -> None:
+    made = Noise(stretch_most=3.0)
+    made.pause(1.0, 2.0)
+    made.pause(2.1, 2.2)
+    assert made.refusing_s(0.0, 10.0) == pytest.approx(1.0 + GRACE_S)
+    assert made.refusing_s(1.5, 2.0) == pytest.approx(0.5)
+    assert made.refusing_s(2.5, 3.0) == 0.0
