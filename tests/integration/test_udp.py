@@ -327,13 +327,15 @@ class TestStrangers:
 
     async def test_sessions_are_opened_at_a_bounded_rate(self) -> None:
         async with host_of(UdpConfig()) as host:
-            with blind_sockets(64, host.udp) as senders:
-                began_s = time.monotonic()
-                for sender in senders:
-                    sender.send(GREETING)
-                await expect(lambda: host.hub.counts.refused["too_fast"] > 0)
-                took_s = time.monotonic() - began_s
-                assert len(host.hub.links.all()) <= OPENED_A_SECOND * (1 + took_s) + 5
+            began_s = time.monotonic()
+            async with asyncio.timeout(TIMEOUT_S):
+                while not host.hub.counts.refused["too_fast"]:  # a slow machine reads fewer than that in a second
+                    with blind_sockets(64, host.udp) as senders:
+                        for sender in senders:
+                            sender.send(GREETING)
+                        await asyncio.sleep(0.05)
+            took_s = time.monotonic() - began_s
+            assert len(host.hub.links.all()) <= OPENED_A_SECOND * (1 + took_s) + 5
 
     async def test_an_address_that_is_not_allowed_gets_nothing(self) -> None:
         async with host_of(UdpConfig(allow=(f"{ROBOT}/32",))) as host:
