@@ -331,7 +331,7 @@ class Publishers:
         self._node, self._remote, self._log_once = node, remote, log_once
         self.is_known = remote.is_known  # whether a gid is that of a publisher; in any thread
         self._gone: dict[str, None] = {}  # tokens that may be back after a cut
-        self._has_forgotten = False  # one of them: each one that comes may be it
+        self._has_forgotten = False  # a token: any publisher may have been there before
         self._began_s = asyncio.get_running_loop().time()
         self._publishers = Mirror[str, _Token, RmwPublisher](
             self._open,

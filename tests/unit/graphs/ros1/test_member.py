@@ -192,7 +192,7 @@ async def test_publishers_over_the_bounds_are_counted(made: Graph, monkeypatch: 
 async def test_publisher_that_was_left_out_of_a_full_list_is_not_new(
     made: Graph, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """When there is room for it, it may be in the middle of a motion."""
+    """A publisher may be in the middle of a motion when there is room again."""
     monkeypatch.setattr(graph_sync, "MAX_NAMED", 3)
     subscription = made.sync.subscriptions[VELOCITY]
     uris = [f"http://a:{port}/" for port in range(1, 6)]

@@ -138,7 +138,7 @@ async def test_stream_through_the_loss_of_its_token_drives_after_a_zero(scene: S
 async def test_a_token_that_was_forgotten_is_not_taken_for_a_new_one(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Over the bound on remembered tokens each one that comes may be back; its first velocity ever is new."""
+    """Over the bound any token may be an earlier one; a first velocity is new."""
     monkeypatch.setattr(rmw_bridge, "MAX_GONE", 2)
     remote = Remote(scene.hub)
     await asyncio.sleep(rmw_bridge.MATCH_S)
