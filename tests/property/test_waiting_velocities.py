@@ -13,6 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hostlink.api.clients import Operation, OperationQueue, VelocityOf
+from hostlink.hub.byte_budget import ByteBudget
 from hostlink.robot.admission import UNORDERED_S, Admission, Command
 from hostlink.robot.velocity import Kinematics, PlanarVelocity
 from tests.support.api_memory import ApiMemory, ApiPeer, api_memory
@@ -231,7 +232,7 @@ class Robot:
     def __init__(self) -> None:
         self.now_s, self.admission = 100.0, Admission("robot_0")
         self.admission.connect(0.0)
-        self.queue = OperationQueue[PlanarVelocity](self, lambda: None, 1000.0)
+        self.queue = OperationQueue[PlanarVelocity](self, lambda: None, 1000.0, ByteBudget()["operations"])
 
     def read(self, data: str | bytes, came_s: float) -> Operation[PlanarVelocity]:
         velocity = PlanarVelocity(float(data))

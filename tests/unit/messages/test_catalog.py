@@ -183,6 +183,13 @@ def test_type_has_its_fields_constants_and_size(catalog: Catalog) -> None:
     assert message(catalog, "geometry_msgs/TwistStamped").fixed_bytes is None
 
 
+def test_least_bytes_are_those_of_the_smallest_message_and_0_of_an_unknown_type(catalog: Catalog) -> None:
+    assert catalog.least_bytes("geometry_msgs/Twist") == 48
+    assert catalog.least_bytes("std_msgs/String") == 4
+    assert catalog.least_bytes("nav_msgs/Odometry") == 16 + 4 + 56 + 288 + 48 + 288
+    assert catalog.least_bytes("robot/Unknown") == 0
+
+
 def test_announced_md5_is_checked(catalog: Catalog) -> None:
     twist = message(catalog, "geometry_msgs/Twist")
     assert catalog.check_message("/cmd_vel", "geometry_msgs/Twist", twist.md5) is twist

@@ -506,3 +506,10 @@ def test_frame_from_the_device_with_the_id_of_a_subscriber_is_refused_and_causes
     host.receive(encode(LED.topic_id, b"\x01"))
     assert (host.session.counts.refused_frames, host.session.counts.unknown_ids) == (1, 0)
     assert host.requests() == []
+
+
+def test_message_of_a_refused_publisher_is_refused() -> None:
+    host = Host(ODOMETRY._replace(md5="wrong"))
+    assert host.session.topics == ()
+    assert host.receive(encode(ODOMETRY.topic_id, bytes(24))) == []
+    assert (host.session.counts.refused_frames, host.session.counts.unknown_ids) == (1, 0)

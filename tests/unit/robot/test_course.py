@@ -100,6 +100,13 @@ def test_each_leg_has_the_time_for_its_own_start() -> None:
     assert not follower.is_stuck
 
 
+def test_two_poses_of_one_time_are_followed_as_one() -> None:
+    once, twice = CourseFollower(straight(1.0)), CourseFollower(straight(1.0))
+    for now_s, x_m in ((0.0, 0.0), (0.1, 0.01), (0.2, 0.03)):
+        twice.update(Pose(x_m, 0.0, 0.0), now_s)
+        assert once.update(Pose(x_m, 0.0, 0.0), now_s) == twice.update(Pose(x_m, 0.0, 0.0), now_s)
+
+
 def test_course_settles_after_its_end_and_is_done_then() -> None:
     follower = CourseFollower(straight(0.1))
     follower.update(Pose(), 0.0)
