@@ -27,7 +27,7 @@ async def test_topics_echo_pub_and_call() -> None:
         assert (status, [each["name"] for each in json.loads(out)]) == (0, ["/diagnostics", "/led", "/rosout"])
 
         listening = tasks.create_task(run("echo", "/led", "--count", "1", "--json", "--url", daemon.url))
-        while "/client_" not in (await run("info", "/led", "--json", "--url", daemon.url))[1]:
+        while "/echo_" not in (await run("info", "/led", "--json", "--url", daemon.url))[1]:
             continue  # `info` itself subscribes to nothing
         assert await run("pub", "/led", '{"data": true}', "--url", daemon.url) == (0, "", "1 sent\n")
         assert await device.frame(100) == b"\x01"

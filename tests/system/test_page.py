@@ -135,7 +135,7 @@ async def test_page_of_an_insecure_origin_shows_the_robot_and_sends_no_request_t
     async with connected(scene, script=INSECURE) as tab:
         await tab.shows("#drive-state", "no driver")
         await tab.shows("#link", "Hz")
-        await tab.shows("#clients", "client")
+        await tab.shows("#clients", "page 1 (Chrome)")
         assert tab.complaints == []
         assert tab.other_hosts == []
 

@@ -219,7 +219,6 @@ async def test_incidents_are_listed_and_fetched(tmp_path: Path) -> None:
         (("record", "-o", "/no/such/folder/run.mcap"), "No such file"),
         (("play", "none.mcap", "/chat"), "--as-program"),
         (("play", "none.mcap", "--as-program"), "name the topics"),
-        (("incidents", "one"), "-o FILE"),
         (("record", "run.mcap", "--seconds", "1"), "hostlink record -o run.mcap"),
     ],
 )
