@@ -14,7 +14,8 @@ from tests.support.resources import in_use, resident_mib
 from tests.support.waiting import expect
 
 CLIENTS, AT_ONCE = 900, 20
-MOST_MIB = 1.0  # that the third 900 may add; without a collection they add 19
+MOST_MIB = 1.0  # that 900 clients may add; without a collection they add 19
+MOST_ROUNDS = 6  # a busy machine collects later
 CLOSE = frame((1000).to_bytes(2, "big"), 8)
 ASK = operation(op="call_service", service="/rosapi/get_time", args={})
 
@@ -72,15 +73,17 @@ async def test_daemon_keeps_nothing_of_a_disconnected_client(visit: Visit) -> No
 
 
 @pytest.mark.long
-async def test_daemon_after_2700_clients_is_as_large_as_after_1800() -> None:
+async def test_daemon_grows_no_more_after_some_rounds_of_900_clients() -> None:
+    """A daemon that keeps something of each client grows in every round."""
     sizes_mib = []
     async with serve() as host:
-        for _ in range(2):
+        for _ in range(MOST_ROUNDS):
             await visits(web_socket, int(host.url.rpartition(":")[2]), CLIENTS)
             await asyncio.sleep(1.5)  # without a driver, the daemon collects garbage
             sizes_mib.append(resident_mib(host.pid))
-        await visits(web_socket, int(host.url.rpartition(":")[2]), CLIENTS)
-        await expect(lambda: resident_mib(host.pid) - sizes_mib[1] < MOST_MIB)  # a busy machine collects later
+            if len(sizes_mib) > 2 and sizes_mib[-1] - sizes_mib[-2] < MOST_MIB:
+                return
+    raise AssertionError(sizes_mib)
 
 
 LATCHING, LATCHED_TOPICS, LATCHED_BYTES, ROUNDS = 30, 4, 900_000, 2

@@ -135,7 +135,7 @@ async def test_page_of_an_insecure_origin_shows_the_robot_and_sends_no_request_t
     async with connected(scene, script=INSECURE) as tab:
         await tab.shows("#drive-state", "no driver")
         await tab.shows("#link", "Hz")
-        await tab.shows("#clients", "page 1 (Chrome)")
+        await tab.shows("#clients", "(Chrome)")
         assert tab.complaints == []
         assert tab.other_hosts == []
 
@@ -370,7 +370,7 @@ async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websoc
 @pytest.mark.long
 async def test_page_watches_by_one_stream_and_does_not_poll(scene: Scene) -> None:
     async with connected(scene) as tab:
-        await tab.shows("#clients", "client")
+        await tab.shows("#clients", "(Chrome)")
         requests: list[str] = []
         tab.page.on("request", lambda request: requests.append(request.url))
         await expect_never(lambda: requests, for_s=1.5)
