@@ -187,7 +187,7 @@ class HistoryRoutes:
                 method="POST",
                 request=IncidentRequest,
                 role=Role.DRIVE,
-                fails=(HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT),
+                fails=(HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT, HTTPStatus.INSUFFICIENT_STORAGE),
             ),
             Route("/api/incidents/{name}", self._file, None, media_type=FILE),
             Route("/api/incidents/{name}/history", self._of_incident, IncidentHistoryView),
@@ -222,7 +222,7 @@ class HistoryRoutes:
     async def _save(self, request: web.Request) -> web.Response:
         """Save the last minutes of a robot, and the next half minute."""
         body = decode_body(request[BODY], IncidentRequest, '{"robot": a name, "reason": a text}')
-        return reply(_incident_view(self._black_box.save(body.robot, body.reason)))
+        return reply(_incident_view(await self._black_box.save(body.robot, body.reason)))
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
         """The MCAP file of an incident."""

@@ -15,14 +15,14 @@ import structlog
 
 from hostlink import remains
 from hostlink.detached import DetachedThread, start_python
-from hostlink.errors import RecordingBusy
+from hostlink.errors import RecordingBusy, RecordingFailed
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.recording.channel import Channel, note_newest
 from hostlink.recording.drives import LastCommand
 from hostlink.recording.folder import MEGABYTE, Folder
 from hostlink.recording.incident import Incident, IncidentRules, OutOfTime, write_incident
-from hostlink.recording.owner import FolderOwner
+from hostlink.recording.owner import FolderOwner, FolderTaken
 from hostlink.recording.recorder import Recorder, TopicSelection
 from hostlink.recording.ring import RingMemory, Rings
 from hostlink.recording.salvage import ABOUT, CLOSED, About, Pending, clear_old, pending_name, salvage
@@ -123,17 +123,24 @@ class BlackBox:
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
         self._add(robot, channel, stamp_ns, payload, self._now_s())
 
-    def save(self, robot: str, reason: str) -> Incident:
+    async def save(self, robot: str, reason: str) -> Incident:
         """Save a robot's last minutes on request.
 
         Raises:
             UnknownTopic: this daemon has no robot of that name.
-            RecordingBusy: the black box is turned off, or too many incidents are pending.
+            RecordingBusy: the black box is off, too many incidents are pending, or another daemon owns the folder.
+            RecordingFailed: the disk refuses.
         """
         found = self._hub.robots.find_here(robot.strip("/"))
         if not self._config.enabled:
             raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
         incident = Incident(found.name, "requested", reason[:MAX_DETAIL], time.time_ns(), self._now_s())
+        try:
+            await asyncio.to_thread(self.folder.claim)
+        except FolderTaken as error:
+            raise RecordingBusy(error.strerror) from error
+        except OSError as error:
+            raise RecordingFailed(f"{self.folder.path}: {error.strerror or error}") from error
         requested = sum(each.cause == "requested" for each in self.pending)
         if requested >= MAX_REQUESTED or not self._begin(incident):
             raise RecordingBusy(

@@ -217,7 +217,7 @@ async def test_newest_of_many_short_lived_channels_are_kept(tmp_path: Path) -> N
         ]
         for each in channels:
             box.announce(each)
-        box.save("robot_0", "too many")
+        await box.save("robot_0", "too many")
         await box.aclose()
     (file,) = (tmp_path / "incidents").iterdir()
     reader = McapReader(file)

@@ -15,6 +15,7 @@ from hostlink.recording.black_box import BlackBox
 from hostlink.recording.folder import StoredFile
 from hostlink.recording.incident import Incident, SavedIncident
 from hostlink.recording.mcap_writer import McapWriter
+from hostlink.recording.owner import FolderOwner
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, VELOCITY_ID
 from tests.support.rest_memory import RestMemory, rest_memory
 from tests.support.waiting import TIMEOUT_S, expect
@@ -122,6 +123,24 @@ async def test_unknown_incident_and_request_of_an_unknown_robot_are_answered_404
         McapWriter(box.folder.path / "plain.mcap", metadata={"recording": "plain"}).close()
         assert stored_history(api.hub.catalog, box.folder.path / "plain.mcap") is None
         assert (await api.call("GET", "/api/incidents/plain.mcap/history"))[0] == 404
+
+
+async def test_request_is_refused_where_no_incident_can_be_saved(tmp_path: Path) -> None:
+    """Another daemon owns the folder, or the disk fails."""
+    async with boxed(tmp_path) as (api, box):
+        request = {"robot": ROBOT, "reason": "why"}
+        other, box.folder.owner = FolderOwner(tmp_path, "daemon 7"), FolderOwner(tmp_path, "daemon 8")
+        other.claim()
+        status, body = await api.call("POST", "/api/incidents", request)
+        assert (status, body["error"]["kind"]) == (409, "RecordingBusy")
+        assert body["error"]["reason"].startswith(f"{tmp_path} belongs to daemon 7; set another recording.folder")
+        other.release()
+        (tmp_path / "file").write_text("")
+        box.folder.owner = FolderOwner(tmp_path / "file", "daemon 8")
+        assert (await api.call("POST", "/api/incidents", request))[0] == 507
+        assert requested((await api.call("GET", "/api/incidents"))[1]) == []
+        box.folder.owner = FolderOwner(tmp_path, "daemon 8")
+        assert (await api.call("POST", "/api/incidents", request))[0] == 200
 
 
 def test_history_is_the_same_json_for_any_number_of_pieces() -> None:

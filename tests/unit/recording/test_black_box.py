@@ -64,7 +64,7 @@ def saved(folder: Path) -> list[Path]:
 
 async def test_incident_is_saved_with_what_came_before_it_when_the_daemon_ends(tmp_path: Path) -> None:
     async with running(tmp_path, BlackBoxConfig()) as (_, box):
-        incident = box.save(f"/{ROBOT}", "x" * (MAX_DETAIL + 1))
+        incident = await box.save(f"/{ROBOT}", "x" * (MAX_DETAIL + 1))
         assert (incident.cause, incident.detail) == ("requested", "x" * MAX_DETAIL)
         assert (list(box.pending), saved(tmp_path)) == ([incident], [])
     (path,) = saved(tmp_path)
@@ -79,7 +79,7 @@ async def test_incident_is_saved_with_what_came_before_it_when_the_daemon_ends(t
 async def test_black_box_that_is_off_keeps_and_saves_nothing(tmp_path: Path) -> None:
     async with running(tmp_path, BlackBoxConfig(enabled=False)) as (_, box):
         with pytest.raises(RecordingBusy, match="the black box is off"):
-            box.save(ROBOT, "why")
+            await box.save(ROBOT, "why")
         assert box.rings.size_bytes == 0
     assert saved(tmp_path) == []
 
@@ -87,11 +87,11 @@ async def test_black_box_that_is_off_keeps_and_saves_nothing(tmp_path: Path) -> 
 async def test_requests_are_bounded_and_only_for_robots_here(tmp_path: Path) -> None:
     async with running(tmp_path, BlackBoxConfig()) as (_, box):
         with pytest.raises(UnknownTopic):
-            box.save("robot_9", "why")
+            await box.save("robot_9", "why")
         for _ in range(MAX_REQUESTED):
-            box.save(ROBOT, "why")
+            await box.save(ROBOT, "why")
         with pytest.raises(RecordingBusy, match=f"{MAX_REQUESTED} incidents are being saved on request"):
-            box.save(ROBOT, "why")
+            await box.save(ROBOT, "why")
         assert len(box.pending) == MAX_REQUESTED
 
 
@@ -113,7 +113,7 @@ async def test_incident_that_cannot_be_written_is_counted_and_logged(tmp_path: P
     (tmp_path / "incidents").write_text("in the place of the folder")
     with capture_logs() as logs:
         async with running(tmp_path, BlackBoxConfig(after_s=0.05)) as (_, box):
-            box.save(ROBOT, "why")
+            await box.save(ROBOT, "why")
             await expect(lambda: box.missed == 1)
             assert (box.saved, list(box.pending)) == (0, [])
     (line,) = [each for each in logs if each["event"] == "incident.lost"]
@@ -123,7 +123,7 @@ async def test_incident_that_cannot_be_written_is_counted_and_logged(tmp_path: P
 async def test_incidents_over_the_bound_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_PENDING", 1)
     async with running(tmp_path, BlackBoxConfig()) as (hub, box):
-        box.save(ROBOT, "why")
+        await box.save(ROBOT, "why")
         hub.robots.find_here(ROBOT).lock("why")
         assert (len(box.pending), box.missed) == (1, 1)
 
@@ -138,7 +138,7 @@ async def test_removed_robot_is_kept_while_its_incident_is_pending(tmp_path: Pat
                 await device.send(ODOMETRY_ID, POSE.pack(1.0, 2.0, 0.5))
                 await asyncio.sleep(0.01)
         await device.aclose()
-        box.save("robot_7", "why")
+        await box.save("robot_7", "why")
         await expect(lambda: hub.robots.find_here("robot_7").link is None)
         hub.robots.forget("robot_7")
         assert not hub.robots.has("robot_7")
@@ -152,7 +152,7 @@ async def test_incident_of_a_killed_daemon_is_saved_by_the_next_with_its_last_co
     async with running(tmp_path, BlackBoxConfig()) as (hub, box):
         driver = hub.join("ann")
         driver.drive(hub.robots.find_here(ROBOT), PlanarVelocity(0.1))
-        box.save(ROBOT, "why")
+        await box.save(ROBOT, "why")
         await expect(lambda: box._memory.folder)
         facts = box._memory
         box.pending.clear()  # the process is killed: it writes nothing
