@@ -48,7 +48,7 @@ from hostlink.robot.velocity import (
     PlanarVelocity,
     Twist,
 )
-from hostlink.robot.velocity_gate import V, VelocityGate
+from hostlink.robot.velocity_gate import EndedLease, V, VelocityGate
 
 if TYPE_CHECKING:
     from hostlink.hub.device import Device
@@ -344,12 +344,16 @@ class Gates:
             is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
             driver = gate.owner
             limited = gate.command(command, now_s=now_s)
+            ended = gate.pop_ended()
             refusal = None if is_stopping else self._step(drivable, now_s, is_news=True)
             if refusal is not None:
                 gate.admission.end_drives(owner)
                 gate.stop(now_s=now_s)
-                if driver is not None:
-                    self._note_stop(drivable, NOT_TAKEN, str(driver))
+            if refusal is not None and driver is not None:
+                self._note_stop(drivable, NOT_TAKEN, str(driver))
+            elif ended is not None:
+                self._note_ended(drivable, ended, now_s)
+            if refusal is not None:
                 raise refusal
         except HostlinkError as error:
             if not (velocity.is_zero and command.is_planar):
@@ -555,9 +559,7 @@ class Gates:
             velocity = gate.step(now_s)
             ended = gate.pop_ended()
             if ended is not None:
-                was_away = self._stalls.pauses(now_s).was_paused(now_s - LEASE_S)
-                reason = HOST_AWAY if was_away else LET_GO if ended.was_let_go else LEASE_ENDED
-                self._note_stop(drivable, reason, str(ended.lease.source))
+                self._note_ended(drivable, ended, now_s)
             if velocity is None or connection is None:
                 return None
             link = connection.link
@@ -595,6 +597,11 @@ class Gates:
         owner = drivable.gate.owner_name
         if owner is not None:
             self._note_stop(drivable, reason, owner)
+
+    def _note_ended(self, drivable: Drivable, ended: EndedLease, now_s: float) -> None:
+        was_away = self._stalls.pauses(now_s).was_paused(now_s - LEASE_S)
+        reason = LET_GO if ended.was_let_go else HOST_AWAY if was_away else LEASE_ENDED
+        self._note_stop(drivable, reason, str(ended.lease.source))
 
     def _note_stop(self, drivable: Drivable, reason: str, owner: str) -> None:
         log.info("robot.stopped", robot=drivable.name, reason=reason, owner=owner)

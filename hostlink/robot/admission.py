@@ -9,7 +9,7 @@ A *source* of commands is a program, a REST owner, a publisher of another graph.
 |----------|-----------------------------------------------------------|----------|-----------------------|
 | quiet    | non-zero command                                          | driving  | admitted for a lease  |
 | driving  | non-zero command                                          | driving  | admitted for a lease  |
-| driving  | zero                                                      | quiet    | admitted              |
+| driving  | zero                                                      | quiet    | admitted; the drive ends |
 | driving  | a lease without a command                                 | quiet    | the robot stops       |
 | driving  | interruption: stop, lock, unlock, reconnect, pause        | disarmed | the robot stops       |
 | disarmed | non-zero command without the current epoch                | disarmed | refused: disarmed     |
@@ -40,7 +40,8 @@ lease, every source without a record is disarmed until a lease has passed withou
 zero that is refused arms its source all the same. An admitted command holds the robot at its priority for a lease. A
 source of the same priority takes the robot over. The lease of a command that waited is shorter by that time. A stop
 and a lock do not shorten the time for which the robot is held. A zero ends it, except for a source that drives another
-velocity topic of the robot.
+velocity topic of the robot. So does an admitted velocity of another source: a source that was overruled holds the robot
+no more, except for one that drives another velocity topic at the same priority.
 
 A command without the current epoch is from before a stop if it has waited, here or on its way, since more than
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
@@ -196,7 +197,6 @@ class Lease(NamedTuple):
     source: Hashable
     priority: int
     deadline_s: float
-    has_let_go: bool = False  # its newest command is a zero
 
 
 ADMITTED = Decision()
@@ -300,6 +300,8 @@ class Admission:
             reason = f"{holder} drives it with a higher priority; wait until it lets go, or use stop"
             return self._refuse(RefusalKind.HELD, reason, holder)
         source.priority, source.held_until_s = command.priority, now_s - max(waited_s, 0.0) + self.lease_s
+        if len(self._sources) > 1:
+            self._overrule(owner, command.priority, topic)
         self._drivers[topic] = Lease(owner, command.priority, source.held_until_s)
         return ADMITTED
 
@@ -330,12 +332,26 @@ class Admission:
         return ADMITTED
 
     def _let_go(self, source: _Source, owner: Hashable, topic: Hashable) -> None:
-        """End the hold of a source that gave a zero to one topic, unless it drives another one."""
+        """End the lease of a source that gave a zero to one topic, and its hold, unless it drives another topic."""
         lease = self._drivers.get(topic)
         if lease is not None and lease.source == owner:
-            self._drivers[topic] = lease._replace(has_let_go=True)
-        drives = (each.deadline_s for each in self._drivers.values() if each.source == owner and not each.has_let_go)
-        source.held_until_s = max(drives, default=float("-inf"))
+            del self._drivers[topic]
+        source.held_until_s = self._driven_until_s(owner)
+
+    def _overrule(self, owner: Hashable, priority: int, topic: Hashable) -> None:
+        """End the leases that a source takes over: that of its topic, and all of a lower priority; and their holds."""
+        self._drivers = {
+            driven: lease
+            for driven, lease in self._drivers.items()
+            if lease.source == owner or (driven != topic and lease.priority >= priority)
+        }
+        for other, source in self._sources.items():
+            if other != owner:
+                source.held_until_s = self._driven_until_s(other)
+
+    def _driven_until_s(self, owner: Hashable) -> float:
+        """Return the end of the last lease of a source; -inf if it has none."""
+        return max((each.deadline_s for each in self._drivers.values() if each.source == owner), default=float("-inf"))
 
     def _source(self, command: Command[Any], now_s: float) -> _Source | None:
         """Return the record of a source, the last of all; None where there is room for no other.

@@ -127,7 +127,7 @@ class GateCounts:
 
 
 class EndedLease(NamedTuple):
-    """Lease that ended by itself, and whether its source had let go: its last command was a zero."""
+    """Lease that ended by time, or because its source let go: its last command is a zero."""
 
     lease: Lease
     was_let_go: bool
@@ -149,8 +149,7 @@ class VelocityGate(Generic[V]):
     | slowing, stopping | zero                                  | as it is | as without it                          |
     | idle, slowing, stopping | velocity                        | driven   | the velocity; after `restart` zero first |
     | driven   | velocity                                       | driven   | the velocity, at the accelerations     |
-    | driven   | zero                                           | driven   | down to zero                           |
-    | driven   | end of the lease, `stop`                       | slowing  | down to zero at the deceleration limit, |
+    | driven   | zero, end of the lease, `stop`                 | slowing  | down to zero at the deceleration limit, |
     |          |                                                |          | at once without one                    |
     | idle     | `stop`                                         | stopping | zero                                   |
     | any      | `stop_at_once`, `restart`                      | stopping | zero, at once                          |
@@ -225,10 +224,13 @@ class VelocityGate(Generic[V]):
                 self.admission.robot, decision.kind, decision.reason, holder=decision.holder, by=decision.by
             )
         self.counts.commands += 1
-        if velocity.is_zero and self.driver is None:
-            self._zeros = max(self._zeros, 1)
-            if self._ended is not None and self._ended.lease.source == command.source:
+        if velocity.is_zero:
+            if self.driver is not None:
+                self._ended = EndedLease(self.driver, was_let_go=True)
+                self._stop(now_s)
+            elif self._ended is not None and self._ended.lease.source == command.source:
                 self._ended = EndedLease(self._ended.lease, was_let_go=True)
+            self._zeros = max(self._zeros, 1)
             return self.zero
         if self.driver is None and self.current.is_zero:
             self._stepped_at_s = now_s
@@ -239,7 +241,7 @@ class VelocityGate(Generic[V]):
         return self.target
 
     def pop_ended(self) -> EndedLease | None:
-        """Remove and return a lease that ended by itself, in a command or a step.
+        """Remove and return a lease that ended by time or by a zero, in a command or a step.
 
         Call it after each of them. A lease that `stop` ends is not returned.
         """
@@ -302,7 +304,7 @@ class VelocityGate(Generic[V]):
     def _expire(self, now_s: float) -> None:
         if self.driver is not None and self.admission.driver(self, now_s) is None:
             self.counts.expired += now_s >= self.driver.deadline_s
-            self._ended = EndedLease(self.driver, was_let_go=self.target.is_zero)
+            self._ended = EndedLease(self.driver, was_let_go=False)
             self._stop(min(now_s, self.driver.deadline_s))
 
     def _stop(self, at_s: float) -> None:

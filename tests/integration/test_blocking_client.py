@@ -15,7 +15,7 @@ import pytest
 
 from hostlink.client import BlockingHost, connect_blocking
 from hostlink.errors import HostlinkError
-from hostlink.hub.robot_events import OWNER_LEFT
+from hostlink.hub.robot_events import LET_GO
 from tests.support.daemon import Daemon, daemon, stops_of
 from tests.support.driving import obeyed
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
@@ -76,7 +76,7 @@ async def test_a_robot_is_driven_while_the_program_computes_and_stops_at_the_end
         assert await device.velocity_other_than((0.2, 0.5)) == ZERO
         gate = host.hub.robots.find("robot_0").gate
         await expect(lambda: gate.owner_name is None)
-        assert (is_driven, reasons, gate.counts.stops) == (True, [OWNER_LEFT], 0) or host.was_paused
+        assert (is_driven, reasons, gate.counts.stops) == (True, [LET_GO], 0) or host.was_paused
 
 
 async def test_robot_stops_when_the_thread_that_drives_it_hangs_also_beside_a_thread_that_reads() -> None:

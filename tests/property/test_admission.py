@@ -4,6 +4,7 @@ The oracle keeps the whole history and decides from it alone, by the definitions
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -42,6 +43,14 @@ class Heard:
         return self.has_seen or any(gap >= LEASE_S for gap in gaps)
 
 
+class Drive(NamedTuple):
+    """Last admitted velocity for a topic, which no zero, stop or leave has followed."""
+
+    source: str
+    at_s: float
+    priority: int
+
+
 class History(RuleBasedStateMachine):
     """One robot with two velocity topics, three sources, and the oracle."""
 
@@ -60,8 +69,7 @@ class History(RuleBasedStateMachine):
             kinematics=kinematics,
         )
         self.sources: dict[str, Heard] = {}
-        self.drives: dict[str, tuple[str, float]] = {}  # by topic: the source of the last admitted command, and when
-        self.let_go: set[str] = set()  # topics whose last command is a zero of its source
+        self.drives: dict[str, Drive] = {}  # by topic
         self.is_locked, self.is_connected = False, is_connected
         self.away_s = self.stopped_s = float("-inf")
         if is_connected:
@@ -130,18 +138,28 @@ class History(RuleBasedStateMachine):
         assert decision.holder in holders | {None}
         if decision.is_admitted:
             heard.held_until_s, heard.priority = self.now_s - waited_s + LEASE_S, priority
-            self.drives[topic] = owner, self.now_s - waited_s
-            self.let_go.discard(topic)
+            self.drives[topic] = Drive(owner, self.now_s - waited_s, priority)
+            self.drives = {
+                by: drive for by, drive in self.drives.items() if drive.source == owner or drive.priority >= priority
+            }
+            for other, each in self.sources.items():
+                if other != owner:
+                    each.held_until_s = self.driven_until_s(other)
+
+    @rule(owner=OWNERS, priority=PRIORITIES, topic=TOPICS, waited=st.integers(0, 2), has_seen=st.booleans())
+    def source_drives_in_time(self, owner: str, priority: int, topic: str, waited: int, *, has_seen: bool) -> None:
+        """Give a command that most states admit: few of the commands with everything drawn are admitted."""
+        seen = 1 if has_seen else None
+        self.source_drives(owner, priority, topic, waited, seen, None, FORWARD, is_planar=True)
 
     @rule(owner=OWNERS, topic=TOPICS)
     def source_lets_go(self, owner: str, topic: str) -> None:
         driver = self.admission.driver(topic, self.now_s)
         decision = self.admission.decide(Command(ZERO, owner, 50, self.now_s), self.now_s, topic=topic)
         held = self.sources.pop(owner, Heard())
-        self.let_go |= {topic} if self.drives.get(topic, ("",))[0] == owner else set()
-        mine = (by for by, (source, _) in self.drives.items() if source == owner and by not in self.let_go)
-        others = (self.drives[by][1] + LEASE_S for by in mine)
-        self.sources[owner] = Heard(held_until_s=max(others, default=float("-inf")), priority=held.priority)
+        if topic in self.drives and self.drives[topic].source == owner:
+            del self.drives[topic]
+        self.sources[owner] = Heard(held_until_s=self.driven_until_s(owner), priority=held.priority)
         if not self.is_connected:
             assert decision.kind is RefusalKind.NOT_CONNECTED
         else:
@@ -151,7 +169,7 @@ class History(RuleBasedStateMachine):
     def source_leaves(self, owner: str) -> None:
         self.admission.withdraw(owner)
         self.sources.pop(owner, None)
-        self.drives = {topic: drive for topic, drive in self.drives.items() if drive[0] != owner}
+        self.drives = {topic: drive for topic, drive in self.drives.items() if drive.source != owner}
 
     def interruption(self, since_s: float) -> None:
         self.drives.clear()
@@ -200,6 +218,10 @@ class History(RuleBasedStateMachine):
                 heard.has_lost_device = False
         assert self.admission.epoch == epoch + is_one
 
+    def driven_until_s(self, owner: str) -> float:
+        ends = (drive.at_s + LEASE_S for drive in self.drives.values() if drive.source == owner)
+        return max(ends, default=float("-inf"))
+
     def drop_holds(self) -> None:
         for heard in self.sources.values():
             heard.held_until_s = float("-inf")
@@ -210,9 +232,9 @@ class History(RuleBasedStateMachine):
             return
         for topic in ("cmd_vel", "arm_vel"):
             driver = self.admission.driver(topic, self.now_s)
-            owner, at_s = self.drives.get(topic, ("", float("-inf")))
-            if self.now_s < at_s + LEASE_S:
-                assert driver.source == owner
+            drive = self.drives.get(topic)
+            if drive is not None and self.now_s < drive.at_s + LEASE_S:
+                assert driver.source == drive.source
             else:
                 assert driver is None
         held = any(self.now_s < heard.held_until_s for heard in self.sources.values())

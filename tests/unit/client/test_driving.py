@@ -12,7 +12,7 @@ from hostlink.client import Driven, Refusal, Robot
 from hostlink.errors import HostlinkError
 from hostlink.hub.gates import RemoteHosts
 from hostlink.hub.robot import LocalRobot
-from hostlink.hub.robot_events import LET_GO, OWNER_LEFT, WAS_STOPPED, EventKind, RobotEvent
+from hostlink.hub.robot_events import LET_GO, WAS_STOPPED, EventKind, RobotEvent
 from hostlink.robot.admission import EARLIER_EPOCH, LEASE_S
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate
@@ -444,7 +444,7 @@ async def test_command_that_is_not_planar_is_refused_and_ends_no_stream() -> Non
 
 
 async def ends(here: World) -> None:
-    """The program ends."""
+    """The program ends: it sends a zero first, which ends its drive."""
     await here.me.stop_driven()
     here.me.close()
 
@@ -457,7 +457,7 @@ async def stops(here: World) -> None:
     await here.robot.stop()
 
 
-@pytest.mark.parametrize(("end", "reason"), [(ends, OWNER_LEFT), (drives_zero, LET_GO), (stops, WAS_STOPPED)])
+@pytest.mark.parametrize(("end", "reason"), [(ends, LET_GO), (drives_zero, LET_GO), (stops, WAS_STOPPED)])
 @virtual
 async def test_drive_that_ends_is_reported_once_with_its_reason(
     end: Callable[[World], Awaitable[None]], reason: str

@@ -32,6 +32,16 @@ def events_of(made: MemoryHub) -> list[RobotEvent]:
     return found
 
 
+def refuse_velocities(device: Any) -> None:
+    """Let no velocity fit the device from now on."""
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise FrameTooLarge("/robot_0/velocity_commands", 56, 40)
+
+    device.link.session.publish = refuse
+    device.link.session.send_zero = lambda *_, **__: False
+
+
 def test_connected_device_receives_zero_first() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()
@@ -221,11 +231,7 @@ def test_command_that_does_not_fit_the_device_ends_the_drive_of_its_source() -> 
         drive_gate(made.robot(), SLOW, owner="ann")
         events = events_of(made)
 
-        def refuse(*_: Any, **__: Any) -> None:
-            raise FrameTooLarge("/robot_0/velocity_commands", 56, 40)
-
-        device.link.session.publish = refuse  # type: ignore[method-assign]
-        device.link.session.send_zero = lambda *_, **__: False  # type: ignore[method-assign]
+        refuse_velocities(device)
         with pytest.raises(FrameTooLarge):
             drive_gate(made.robot(), FAST, owner="ann")
         assert made.robot().gate.owner is None
@@ -540,6 +546,42 @@ def test_drive_whose_lease_ends_as_a_command_arrives_is_reported_once(
         await asyncio.sleep(0.2)
         found = [(each.facts["owner"], each.facts["reason"]) for each in events if each.kind is EventKind.STOPPED]
         assert found == [("ann", reason)]
+
+    in_hub(test)
+
+
+def test_drive_that_its_source_ends_by_a_zero_is_over_at_once_and_reported_once() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        await asyncio.sleep(1.0)
+        device.heard.clear()
+        drive_gate(made.robot(), FAST, owner="ann")
+        await asyncio.sleep(0.11)  # not at a tick of the gates, whose zero would be one frame with that of the source
+        events = events_of(made)
+        for _ in range(3):
+            drive_gate(made.robot(), ZERO, owner="ann")
+        stops = [each.facts for each in events if each.kind is EventKind.STOPPED]
+        assert [(each["owner"], each["reason"]) for each in stops] == [("ann", LET_GO)]
+        assert made.robot().state(made.now_s).holder is None
+        await asyncio.sleep(2.0)
+        made.hub.gates.release("ann")
+        assert len([each for each in events if each.kind is EventKind.STOPPED]) == 1
+        assert velocities(device)[-3:] == [(0.0, 0.0)] * 3
+
+    in_hub(test)
+
+
+@replaces_a_method
+def test_drive_whose_last_zero_does_not_fit_the_device_is_reported_once_as_that() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        drive_gate(made.robot(), SLOW, owner="ann")
+        events = events_of(made)
+        refuse_velocities(device)
+        with pytest.raises(FrameTooLarge):
+            drive_gate(made.robot(), ZERO, owner="ann")
+        await asyncio.sleep(1.0)
+        assert [each.facts["reason"] for each in events if each.kind is EventKind.STOPPED] == [NOT_TAKEN]
 
     in_hub(test)
 

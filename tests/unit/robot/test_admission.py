@@ -547,12 +547,30 @@ def test_zero_of_another_source_is_refused_while_one_drives(driven: Timeline) ->
     assert driven.driver() == "ann"
 
 
-def test_zero_of_the_driver_keeps_its_lease(driven: Timeline) -> None:
+def test_zero_of_the_driver_ends_its_lease(driven: Timeline) -> None:
     driven.wait(0.3)
     assert driven.command(ZERO).is_admitted
-    assert driven.driver() == "ann"
-    driven.wait(0.2)
     assert driven.driver() is None
+    assert driven.command(ZERO, source="bob").is_admitted
+
+
+@pytest.mark.parametrize("priority", [50, 60])
+@pytest.mark.parametrize("topic", ["", "other"])
+def test_source_that_was_overruled_holds_no_robot_after_the_zero_of_the_other(
+    driven: Timeline, priority: int, topic: str
+) -> None:
+    assert driven.command(source="bob", priority=priority, topic=topic).is_admitted
+    assert driven.command(ZERO, source="bob", priority=priority, topic=topic).is_admitted
+    is_beside = topic == "other" and priority == 50  # then both drive
+    assert driven.driver() == ("ann" if is_beside else None)
+    assert driven.command(source="eve", priority=10).is_admitted == (not is_beside)
+
+
+def test_source_that_was_overruled_after_a_stop_holds_no_robot(driven: Timeline) -> None:
+    driven.stop()
+    assert driven.command(source="bob").is_admitted
+    assert driven.command(ZERO, source="bob").is_admitted
+    assert driven.command(source="eve", priority=10).is_admitted
 
 
 def test_end_of_one_topic_keeps_the_robot_held(driven: Timeline) -> None:
@@ -611,7 +629,7 @@ def test_source_that_gave_a_zero_gives_its_record_to_another_in_a_crowd(robot: T
     crowd(robot, priority=60)
     assert robot.command(source="ann").kind is RefusalKind.CROWDED
     assert robot.command(ZERO, source=f"{MAX_SOURCES - 1}").is_admitted
-    assert robot.command(source="ann").kind is RefusalKind.HELD  # by the others
+    assert robot.command(source="ann").is_admitted  # the others were overruled, one after the other
 
 
 def test_sources_that_let_go_after_a_stop_give_way(robot: Timeline) -> None:

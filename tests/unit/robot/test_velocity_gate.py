@@ -79,6 +79,20 @@ def test_gate_is_driven_until_it_has_stopped_though_zeros_are_due() -> None:
     assert (ours.is_driven, ours.may_move) == (False, False)
 
 
+@pytest.mark.parametrize("limits", [FREE, HEAVY])
+def test_gate_whose_driver_gives_zero_ends_like_one_whose_driver_left(limits: Limits) -> None:
+    let_go, left = moving(limits), moving(limits)
+    let_go.drive("ann", ZERO, priority=50, now_s=1.0)
+    left.withdraw("ann", now_s=1.0)
+    assert let_go.driver is None
+    assert (let_go.may_move, let_go.is_driven) == (left.may_move, left.is_driven)
+    assert outputs(let_go, 1.0, 200) == outputs(left, 1.0, 200)
+    ended = let_go.pop_ended()
+    assert ended is not None
+    assert (ended.lease.source, ended.was_let_go) == ("ann", True)
+    assert let_go.counts.expired == 0
+
+
 def test_gate_has_its_driver_at_zero_and_none_while_it_slows_down() -> None:
     ours = gate()
     ours.drive("ann", ZERO, priority=50, now_s=0.0)
@@ -158,13 +172,13 @@ def test_first_velocity_of_a_new_device_is_zero_also_with_a_command_at_once() ->
 # -- zeros ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_zero_of_the_owner_stops_but_does_not_extend_the_lease() -> None:
+def test_a_zero_of_the_owner_stops_and_ends_the_lease() -> None:
     ours = driven()
     assert ours.drive("ann", ZERO, priority=50, now_s=0.2) == ZERO
-    assert ours.step(0.2) == ZERO
+    assert ours.owner_name is None
+    assert outputs(ours, 0.2) == STOPPED
     ours.drive("ann", ZERO, priority=50, now_s=0.4)
-    assert (ours.owner_name, ours.step(0.4)) == ("ann", ZERO)
-    assert outputs(ours, 0.5) == STOPPED
+    assert outputs(ours, 0.4, 2) == [ZERO, None]
 
 
 def test_an_idle_zero_is_sent_once() -> None:
