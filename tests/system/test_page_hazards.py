@@ -92,6 +92,13 @@ class Scene:
         """Drive with a key."""
         await self.tab.hold(key, lambda: self.is_driven(name))
 
+    async def drags_forward(self) -> float:
+        """Drag the stick 40 px up; return its velocity. The first commands are of positions on the way."""
+        await self.tab.drag_stick(0, 40, lambda: self.is_driven("robot_0"))
+        sent = len(self.commands())
+        await expect(lambda: len(self.commands()) > sent + 2)
+        return self.commands()[-1][1]
+
     async def stands(self) -> None:
         """Check that zeros were sent last, and that nothing follows while keys stay held."""
         await expect(lambda: [each[1:] for each in self.commands()[-2:]] == [(0, 0), (0, 0)])
@@ -155,9 +162,8 @@ async def test_a_stick_that_moves_on_the_screen_while_it_is_held_keeps_its_veloc
     page = scene.tab.page
     scene.server.show(fleet(*(f"robot_{number}" for number in range(6))))
     await scene.tab.shows("#robots .robot:nth-child(6)", "robot_5")
-    await scene.tab.drag_stick(0, 40, lambda: scene.is_driven("robot_0"))
-    (x, y), velocity = await scene.tab.stick(), scene.commands()[-1]
-    assert velocity[1] > 0
+    velocity = await scene.drags_forward()
+    x, y = await scene.tab.stick()
     scene.server.show(fleet("robot_0"))
     await expect_page(page.locator("#robots .robot")).to_have_count(1)
     assert (await scene.tab.stick())[1] < y - 80
@@ -165,12 +171,11 @@ async def test_a_stick_that_moves_on_the_screen_while_it_is_held_keeps_its_veloc
     sent = len(scene.commands())
     await expect(lambda: len(scene.commands()) > sent + 2)
     name, linear, angular = scene.commands()[-1]
-    assert (name, linear) == ("robot_0", pytest.approx(velocity[1], rel=0.1))
+    assert (name, linear) == ("robot_0", pytest.approx(velocity, rel=0.1))
     assert abs(angular) < 0.05
     await page.mouse.up()
     await scene.stands()
-    await scene.tab.drag_stick(0, 40, lambda: scene.is_driven("robot_0"))  # measured again
-    assert scene.commands()[-1][1] == pytest.approx(velocity[1], rel=0.1)
+    assert await scene.drags_forward() == pytest.approx(velocity, rel=0.1)  # measured again
     await page.mouse.up()
 
 
