@@ -206,6 +206,62 @@ class CalibrationConfig:
             raise ValueError(f"a calibration may change a value by a factor of at most {MOST_CALIBRATION:g}")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelsConfig:
+    """Topics by which the wheels of a robot are driven, instead of a velocity."""
+
+    topics: tuple[str, ...]  # one for each wheel in the drive's order; or one array; or one JointState
+    joints: tuple[str, ...] = ()  # names of a JointState, in the drive's order
+    unit: Literal["rad_s", "m_s", "rpm", "ticks_s", "pwm"] = "m_s"
+    directions: tuple[float, ...] = ()  # 1 or -1 for each wheel; empty: all forwards
+    ticks_per_turn: float = 0.0  # of unit = "ticks_s"
+    full: float = 255.0  # of unit = "pwm": the number at the robot's fastest wheel speed
+    rest: float = 0.0  # number at rest, for example 1500 of an ESC
+
+    def __post_init__(self) -> None:
+        if not self.topics:
+            raise ValueError(
+                'wheels.topics must name the topics of the wheels, for example ["lmotor_cmd", "rmotor_cmd"]'
+            )
+        if self.unit == "ticks_s" and self.ticks_per_turn <= 0:
+            raise ValueError('wheels.unit "ticks_s" needs ticks_per_turn above zero')
+        if not all(abs(each) == 1 for each in self.directions):
+            raise ValueError("wheels.directions must be 1 or -1 for each wheel")
+        if self.full == 0:
+            raise ValueError("wheels.full must not be zero")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JoyConfig:
+    """Topic of type sensor_msgs/Joy by which a robot is driven. Axes and buttons are numbered from 0."""
+
+    topic: str = "joy"
+    x_axis: int = 1  # forwards
+    y_axis: int | None = None  # to the left; None: the robot has no such axis
+    yaw_axis: int | None = 0  # counter-clockwise
+    axes: int = 8  # number of axes that are sent
+    buttons: int = 11
+    button: int | None = None  # pressed while the robot is driven
+
+    def __post_init__(self) -> None:
+        used = [each for each in (self.x_axis, self.y_axis, self.yaw_axis, self.button) if each is not None]
+        if not all(0 <= each < MAX_JOY for each in (*used, self.axes, self.buttons)):
+            raise ValueError(f"axes and buttons of joy must be 0 to {MAX_JOY - 1}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WordsConfig:
+    """Topic of type std_msgs/String by which a robot is driven, and its words."""
+
+    topic: str
+    forward: str
+    backward: str
+    left: str
+    right: str
+    stop: str
+
+
+MAX_JOY = 64  # axes and buttons of a Joy
 MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
 
 
@@ -215,8 +271,15 @@ class RobotConfig:
 
     address: str | None = None  # peer address or serial port of its device
     uart_bytes_s: int | None = None
-    kinematics: Literal["", "differential"] = ""  # a differential drive refuses linear.y; "": it is limited and passed
+    # A differential drive refuses linear.y; "": it is limited and passed; "spatial": all six numbers pass.
+    kinematics: Literal["", "differential", "spatial"] = ""
     wheel_separation_m: float | None = None
+    wheel_radius_m: float | None = None
+    wheelbase_m: float | None = None
+    max_steering_rad: float | None = None
+    separation_factor: float | None = None
+    wheel_distance_m: float | None = None
+    wheel_angles_deg: tuple[float, ...] | None = None
     max_wheel_m_s: float | None = None
     max_linear_m_s: float = 1.0  # for a small robot; a faster one needs its own setting
     max_angular_rad_s: float = 4.0
@@ -235,8 +298,20 @@ class RobotConfig:
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     publish_tf: bool = True  # false if another node publishes the transform between these frames
     resume_after_reconnect_s: float = 0.0  # a program that continues to command may continue after a shorter absence
+    # What commands the robot; topics are as its device names them. Without any of them it is recognised.
+    command_topic: str | None = None  # a Twist, TwistStamped or AckermannDrive with a name that tells nothing
+    wheels: WheelsConfig | None = None
+    joy: JoyConfig | None = None
+    words: WordsConfig | None = None
+    not_commands: tuple[str, ...] = ()  # topics that drive nothing, whatever their name and type
+    locked_topics: tuple[str, ...] = ()  # further topics that a lock refuses, for example of servos
+    odometry_topic: str | None = None  # None: it is recognised; "": what the device publishes is not its pose
 
     def __post_init__(self) -> None:
+        ways = {"command_topic": self.command_topic, "wheels": self.wheels, "joy": self.joy, "words": self.words}
+        given = [name for name, each in ways.items() if each is not None]
+        if len(given) > 1:
+            raise ValueError(f"{given[0]} and {given[1]} are two ways to command one robot: choose one")
         if not 0 <= self.resume_after_reconnect_s <= MAX_RESUME_S:
             raise ValueError(f"resume_after_reconnect_s must be a number from 0 to {MAX_RESUME_S:g}")
 

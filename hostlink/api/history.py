@@ -23,6 +23,7 @@ from hostlink.errors import BadRequest, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.robot import LocalRobot
+from hostlink.hub.robot_topic_publisher import twist_topic
 from hostlink.loop_time import loop_time_s
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.black_box import MAX_DETAIL, BlackBox
@@ -288,8 +289,10 @@ class HistoryRoutes:
         """Read thousands of messages, in a thread. Without `is_chosen`, return only poses and events."""
         rest = Pauses()
         topics = robot.shown
-        odometry = (topics.odometry, topics.odometry_type)
-        history = RobotHistory(robot.name, odometry=odometry, commands=topics.velocity)
+        odometry = None
+        if topics.odometry is not None and topics.odometry_type is not None:
+            odometry = (topics.odometry, topics.odometry_type)
+        history = RobotHistory(robot.name, odometry=odometry, commands=twist_topic(robot))
         for entry in heapq.merge(*copies, key=lambda entry: entry.at_s):
             rest()
             history.add(entry)

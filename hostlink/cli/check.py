@@ -23,7 +23,7 @@ from hostlink.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter
-from hostlink.hub.robot_topic_publisher import frames_of
+from hostlink.hub.robot import frames_of
 from hostlink.hub.topic_graph import resolve
 from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor
 from hostlink.listening import close_all, spelled

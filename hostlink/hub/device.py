@@ -1,5 +1,6 @@
 """Device: the topics and services of one link in the graph, their names there, and the routes of its frames."""
 
+import dataclasses
 import struct
 import time
 from collections.abc import Callable
@@ -8,11 +9,12 @@ from typing import TYPE_CHECKING
 
 import structlog
 
+from hostlink.config import RobotConfig
 from hostlink.errors import BadRequest, HostlinkError, WrongType
 from hostlink.hub.diagnoses import Diagnosis
-from hostlink.hub.gates import Drivable, is_velocity
+from hostlink.hub.gates import Drivable, Echo, LostEndpoint
 from hostlink.hub.message import Message
-from hostlink.hub.robot import LocalRobot, limits_of
+from hostlink.hub.robot import LocalRobot, commands_of, limits_of
 from hostlink.hub.services import DeviceService
 from hostlink.hub.topic import DeviceSubscription, Subscriber, Topic
 from hostlink.hub.topic_graph import resolve
@@ -25,9 +27,11 @@ from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
-from hostlink.robot.names import Presence, RobotTopicNames
+from hostlink.robot.command_types import FixedZero, TopicType
+from hostlink.robot.model import NO_SETTINGS, Endpoint, RobotTopicNames, is_velocity
+from hostlink.robot.names import Presence
 from hostlink.robot.state import BATTERY_TYPE
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, Twist
+from hostlink.robot.velocity import ZERO, Kinematics, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
 
 if TYPE_CHECKING:
@@ -52,7 +56,9 @@ class ShownNames:
         self._name = name or ""
         namespace = () if robot is None else robot.namespace
         self._prefix = "/" + "".join(f"{part}/" for part in namespace)
-        own = () if robot is None or not self._is_renamed else (robot.velocity, robot.odometry, robot.reset)
+        own: tuple[str | None, ...] = ()
+        if robot is not None and self._is_renamed:
+            own = (*(topic.name for topic in robot.commands), robot.odometry, robot.reset)
         self._own = tuple(resolve(topic) for topic in own if topic is not None)
 
     def of(self, name: str) -> str:
@@ -67,9 +73,11 @@ class ShownNames:
 
     def of_robot(self, robot: RobotTopicNames) -> RobotTopicNames:
         """Return the robot's topics by their names in the graph."""
+        commands = tuple(TopicType(self.of(topic.name), topic.type_name) for topic in robot.commands)
+        odometry = None if robot.odometry is None else self.of(robot.odometry)
         reset = None if robot.reset is None else self.of(robot.reset)
-        shown = RobotTopicNames(
-            self._name or robot.name, self.of(robot.velocity), self.of(robot.odometry), robot.odometry_type, reset
+        shown = dataclasses.replace(
+            robot, name=self._name or robot.name, commands=commands, odometry=odometry, reset=reset
         )
         return robot if shown == robot else shown  # most have the same names: kept once
 
@@ -107,9 +115,9 @@ class Device:
     """
 
     __slots__ = (
-        "_awaited", "_hub", "_observers", "_odometry", "diagnosis", "drivables", "early", "guarded_ids",
-        "infos", "is_undecided", "link", "lost", "names", "parameters", "presence", "robot", "routes",
-        "services", "shown",
+        "_awaited", "_hub", "_observers", "_odometry", "diagnosis", "drivables", "early", "infos",
+        "is_undecided", "link", "lost", "names", "parameters", "presence", "robot", "routes", "services",
+        "settings", "shown", "stop_frames",
     )  # fmt: skip
 
     def __init__(self, link: Link, diagnosis: Diagnosis, presence: Presence, hub: "Hub") -> None:
@@ -118,8 +126,9 @@ class Device:
         self.diagnosis = diagnosis
         self.robot: LocalRobot | None = None  # set by Robots
         self.drivables: list[Drivable] = []  # set by Gates
-        self.guarded_ids: list[int] = []  # ids of the velocity topics that the guardian stops; set by Gates
-        self.lost: dict[str, TopicInfo] = {}  # velocity endpoints that an announcement gave up; set by Gates
+        self.stop_frames: list[bytes] = []  # frames that the guardian sends to stop it; set by Gates
+        self.lost: dict[str, LostEndpoint] = {}  # velocity endpoints that an announcement gave up; set by Gates
+        self.settings = NO_SETTINGS  # of its robot's command
         self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()
         self.names: frozenset[str] = frozenset()  # names of its topics in the graph
@@ -139,8 +148,9 @@ class Device:
         self.shown = shown
         if robot is not None:
             robot.has_had_device |= not self.diagnosis.is_played
-            robot.velocities = {shown.of(info.name): info.name for info in infos if is_velocity(info)}
-            robot.velocities[robot.shown.velocity] = robot.topics.velocity
+            robot.velocities = {shown.of(info.name): info.name for info in infos if self._is_velocity(info)}
+            pairs = zip(robot.shown.commands, robot.topics.commands, strict=True)
+            robot.velocities |= {ours.name: its.name for ours, its in pairs}
         self.names = frozenset(shown.of(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))
         own = {} if robot is None else robot.shown.own
         for info in sorted(infos, key=lambda info: own.get(shown.of(info.name)) != info.type):  # its own types first
@@ -192,7 +202,7 @@ class Device:
 
     def stand(self) -> None:
         """Send zero to every velocity topic: a reconnected robot may still obey an old command."""
-        for info in filter(is_velocity, self.infos):
+        for info in filter(self._is_velocity, self.infos):
             self._hub.gates.attach(self._drivable(info, None), self)
         self._stand_lost()
 
@@ -202,10 +212,12 @@ class Device:
         They can be stopped, and are guarded, until the next announcement.
         """
         lost, self.lost = self.lost, {}
-        known = {each.endpoint.topic_id for each in self.drivables if each.endpoint is not None}
-        for info in lost.values():
+        known = {info.topic_id for each in self.drivables for info in each.endpoints if info is not None}
+        for info, zero in lost.values():
             if info.topic_id not in known and self.link.session.may_have(info):
-                self._hub.gates.attach(self._drivable(info, None), self, lost=info)
+                drivable = self._drivable(info, None)
+                drivable.commands = FixedZero(TopicType(info.name, info.type), zero)
+                self._hub.gates.attach(drivable, self, lost=info)
 
     def note_parameter(self, name: str, parameter: Parameter) -> None:
         """Note the answer to a parameter request. Of more than MAX_PARAMETERS names, the first are kept."""
@@ -291,9 +303,10 @@ class Device:
 
     def _subscribe(self, info: TopicInfo, name: str, robot: LocalRobot | None) -> None:
         drivable: Drivable | None = None
-        if robot is not None and info.name == robot.topics.velocity and info.type == TWIST_TYPE:
-            drivable = robot
-        elif is_velocity(info):
+        output: int | None = 0
+        if robot is not None and (info.name, info.type) in robot.topics.commands:
+            drivable, output = robot, robot.topics.commands.index((info.name, info.type))
+        elif self._is_velocity(info):
             drivable = self._drivable(info, robot)
             self._hub.gates.attach(drivable, self)
         if drivable is None:
@@ -304,22 +317,29 @@ class Device:
             subscription = DeviceSubscription(drivable.receive, is_gate=True)
         topic = self._hub.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
         if drivable is not None:
-            drivable.echoes[topic.name] = topic
+            drivable.echoes[topic.name] = Echo(topic, output)
             if robot is None:  # a robot's gate has joined before
                 drivable.join(topic)
 
+    def _is_velocity(self, info: TopicInfo) -> bool:
+        """Whether a topic drives the device by its type and name, and by the robot's settings."""
+        return is_velocity(Endpoint(info.name, info.type, info.is_to_device), self.settings.ignored)
+
     def _drivable(self, info: TopicInfo, robot: LocalRobot | None) -> Drivable:
-        """Create the gate of a further velocity topic of a robot, or of a device without a pose.
+        """Create the gate of a further velocity topic of a robot, or of a device that is not identified.
 
         The first has the robot's limits and lock. The second has no limits: its six numbers stay as they are.
         """
+        topic = TopicType(info.name, info.type)
         if robot is None:
             shown = self.shown.of(info.name)
             admission = Admission(shown, kinematics=Kinematics.SPATIAL)
             spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
-            return Drivable(name=shown, velocity_topic=info.name, gate=spatial, gates=self._hub.gates)
+            commands = commands_of((topic,), RobotConfig())
+            return Drivable(name=shown, commands=commands, gate=spatial, gates=self._hub.gates)
         gate = VelocityGate(robot.gate.admission, limits_of(robot.config), ZERO)
-        return Drivable(name=robot.name, velocity_topic=info.name, gate=gate, gates=self._hub.gates)
+        commands = commands_of((topic,), robot.config, frame_id=robot.frames.base)
+        return Drivable(name=robot.name, commands=commands, gate=gate, gates=self._hub.gates)
 
     def _send(self, name: str, reset: LocalRobot | None, message: Message) -> None:
         """Send a message to the device. `reset` is the robot whose odometry it resets."""

@@ -27,6 +27,7 @@ from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import encode
 from hostlink.rate_limit import RateLimit
+from hostlink.robot.model import Endpoint
 from hostlink.robot.names import is_played
 
 log = structlog.get_logger()
@@ -75,7 +76,7 @@ class Diagnosis:
     def note_topics(self) -> None:
         """Note an announcement of topics, including refused ones."""
         session = self.link.session
-        self.is_played = is_played([(info.name, info.type, info.is_to_device) for info in session.topics])
+        self.is_played = is_played([Endpoint(info.name, info.type, info.is_to_device) for info in session.topics])
         topics = session.topics + tuple(info for info, _ in session.refusals)  # the same object if none is refused
         if not self._announced or self._announced[-1][1] != topics:
             self._announced.append((session.counts.bytes_from_device, topics))

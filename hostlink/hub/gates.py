@@ -10,11 +10,11 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import structlog
 
-from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, WrongType
+from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind
 from hostlink.host_pauses import HostPauses
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
@@ -37,17 +37,10 @@ from hostlink.link.serving import LinkEnd
 from hostlink.log_budget import Budget
 from hostlink.loop_time import loop_time_s
 from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.frame import STOP_REQUEST, encode
 from hostlink.robot.admission import LEASE_S, Admission, Command, named
-from hostlink.robot.velocity import (
-    TWIST_STAMPED_TYPE,
-    TWIST_TYPE,
-    ZERO,
-    AnyVelocity,
-    Kinematics,
-    PlanarVelocity,
-    Twist,
-)
+from hostlink.robot.command_types import CommandType, Published, decode_twist
+from hostlink.robot.velocity import ZERO, AnyVelocity, Kinematics, PlanarVelocity, Twist
 from hostlink.robot.velocity_gate import EndedLease, V, VelocityGate
 
 if TYPE_CHECKING:
@@ -60,11 +53,19 @@ class Guard(Protocol):
     """Interface of the guardian. Its methods do not wait and raise nothing."""
 
     def watch(
-        self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
+        self,
+        number: int,
+        connection: Callable[[], int | None],
+        *,
+        zeros: Sequence[bytes],
+        end: bytes,
+        claim_bytes: int,
     ) -> None:
-        """Guard a link with these velocity topics.
+        """Guard a link with these frames, or replace them.
 
-        `connection` returns its descriptor while it is open. `claim_bytes` is the length of the longest sent frame.
+        `connection` returns its descriptor while it is open. `zeros` are the frames that stop the device, one for each
+        velocity endpoint. `end` requests it to stop sending when this process is gone; it may be empty. `claim_bytes`
+        is the length of the longest sent frame. Frames beyond 4 KiB are dropped with a warning.
         """
         ...
 
@@ -128,8 +129,17 @@ class VelocityTarget(ABC):
             DeviceGone: the robot's daemon does not answer.
         """
 
+    def decode(self, message: Message) -> Published:
+        """Decode a published command.
+
+        Raises:
+            WrongType: the message has another type.
+            BadPayload: it is damaged.
+        """
+        return decode_twist(message.topic, message.type_name, message.payload)
+
     def receive(self, message: Message) -> None:
-        """Receive a published Twist or TwistStamped as a command of its publisher. A stamp of 0 is ignored.
+        """Receive a published velocity as a command of its publisher. A stamp of 0 is ignored.
 
         A robot uses three of the six numbers, a velocity topic without a robot all of them. A zero while another source
         drives is ignored: a joystick at rest publishes zeros.
@@ -138,16 +148,8 @@ class VelocityTarget(ABC):
             HostlinkError: as from `command`.
             WrongType: the message has another type.
         """
-        stamp_age_s = None
-        if message.type_name == TWIST_TYPE:
-            twist = Twist.decode(message.payload)
-        elif message.type_name == TWIST_STAMPED_TYPE:
-            fields: Any = message.decoded
-            twist, stamp = Twist.from_fields(fields["twist"]), fields["header"]["stamp"]
-            stamp_ns = stamp["secs"] * _NS_PER_S + stamp["nsecs"]
-            stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
-        else:
-            raise WrongType(message.topic, TWIST_TYPE, message.type_name)
+        twist, stamp_ns = self.decode(message)
+        stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
         is_spatial = self.admission.kinematics is Kinematics.SPATIAL
         velocity: PlanarVelocity | Twist = twist if is_spatial else twist.planar
         command: Command[Any] = Command(
@@ -166,20 +168,28 @@ class VelocityTarget(ABC):
                 raise
 
 
+class Echo(NamedTuple):
+    """Topic on which the sent velocities are published: as the payload of this number, or as a Twist."""
+
+    topic: Topic
+    output: int | None = None  # None: as a Twist
+
+
 @dataclass(eq=False, kw_only=True)
 class Drivable(VelocityTarget):
-    """Velocity topic of a device, with its gate, which is the only subscriber in the graph.
+    """What drives a device, with its gate, which is the only subscriber of its topics in the graph.
 
-    It belongs to a robot, or to a device that publishes no pose.
+    It belongs to a robot, or is a velocity topic that the settings exclude from robots.
     """
 
     name: str  # of the robot, or of the topic in the graph
-    velocity_topic: str  # name that the device uses
+    commands: CommandType  # its topics by the names that the device uses, and how they are encoded
     gate: VelocityGate[Any]  # of a PlanarVelocity for a robot, else of a Twist
     gates: "Gates"
     connection: "Device | None" = None  # in the registry of links (`Robots.devices`)
-    echoes: dict[str, Topic] = field(default_factory=dict)  # topics on which the sent velocities are published
-    endpoint: TopicInfo | None = None  # takes its zeros, even if a damaged announcement gave it up; None: none fits
+    echoes: dict[str, Echo] = field(default_factory=dict)  # by the topic's name
+    # For each command topic: takes its zeros, even if a damaged announcement gave it up; None: none fits.
+    endpoints: tuple[TopicInfo | None, ...] = ()
     is_lost: bool = False  # the device's announcement lacks it: it only receives zeros
     is_given_up: bool = False  # the device announced twice that it lacks it: detached when its zeros were sent
     resumed_link: int = 0  # number of the link since which no reconnection was an interruption
@@ -201,15 +211,25 @@ class Drivable(VelocityTarget):
         """All velocity topics of the link, including this one."""
         return [self] if self.connection is None else list(self.connection.drivables)
 
+    @property
+    def zeros(self) -> tuple[bytes, ...]:
+        """Payload for each command topic that stops the device."""
+        return self.commands.encode(ZERO, time.time_ns())
+
+    def decode(self, message: Message) -> Published:
+        """Decode a published command of a type that this device obeys, or a Twist."""
+        return self.commands.decode(message.topic, message.type_name, message.payload)
+
     def command(self, command: Command[V]) -> V:
         """Drive through the gate; as `VelocityTarget.command`."""
         return self.gates.command(self, command)
 
 
-def is_velocity(info: TopicInfo) -> bool:
-    """Whether a topic drives a device, by type and name: a Twist may have another meaning."""
-    leaf = info.name.rpartition("/")[2].lower()
-    return info.kind is Id.SUBSCRIBER and info.type == TWIST_TYPE and "vel" in leaf
+class LostEndpoint(NamedTuple):
+    """Endpoint that an announcement gave up, and the payload that stops it."""
+
+    info: TopicInfo
+    zero: bytes
 
 
 class RemoteHosts(Protocol):
@@ -266,7 +286,7 @@ class Gates:
         `lost` is its endpoint if the device's announcement lacks it.
         """
         drivable.connection, drivable.is_lost = connection, lost is not None
-        drivable.endpoint = self._endpoint_of(drivable, connection) if lost is None else lost
+        drivable.endpoints = self._endpoints_of(drivable, connection) if lost is None else (lost,)
         self.register(drivable.admission)
         if drivable.gate.admission.connect(loop_time_s()):
             drivable.resumed_link = connection.link.number
@@ -289,8 +309,8 @@ class Gates:
             self.unregister(drivable.admission)
             drivable.gate.restart()
             self._activate(drivable)
-        guarded_ids, connection.guarded_ids = connection.guarded_ids, []
-        if guarded_ids and self._guardian is not None:
+        stops, connection.stop_frames = connection.stop_frames, []
+        if stops and self._guardian is not None:
             self._guardian.release(connection.link.number)
 
     def give_up_lost(self, connection: "Device") -> None:
@@ -305,10 +325,10 @@ class Gates:
         drivable.connection = None
         self.unregister(drivable.admission)
         self._active.pop(drivable, None)
-        if self._guardian is not None and connection.guarded_ids:
+        if self._guardian is not None and connection.stop_frames:
             self._guardian.release(connection.link.number)
         connection.link.last_frame = b""
-        connection.guarded_ids = []
+        connection.stop_frames = []
         for other in connection.drivables:
             self._guard(other, connection)
 
@@ -567,9 +587,9 @@ class Gates:
                 self._beat(self._driven | {link.number})  # before it moves
             if is_fed and velocity == drivable.sent and not velocity.is_zero:
                 return None
-            payload = velocity.encode()
+            payloads = drivable.commands.encode(velocity, time.time_ns())
             try:
-                self._put(drivable, link, velocity, payload, is_kept=is_first)
+                self._put(drivable, link, payloads, is_zero=velocity.is_zero, is_kept=is_first)
                 # Frames that would delay a stop on a slow line are held back or refused while the robot moves.
                 link.session.outbox.robot_moves = gate.may_move or any(
                     each.gate.may_move for each in connection.drivables
@@ -583,7 +603,8 @@ class Gates:
                 link.wake()
             else:
                 self._unwritten[link] = None
-            for topic in drivable.echoes.values():
+            for topic, output in drivable.echoes.values():
+                payload = velocity.encode() if output is None else payloads[output]
                 topic.deliver(payload, source=drivable, at_s=now_s)
         except Exception as error:  # noqa: BLE001 - counted; the other gates are stepped
             if connection is not None:
@@ -608,26 +629,36 @@ class Gates:
         self.events.note(EventKind.STOPPED, drivable.name, reason=reason, owner=owner)
 
     def _put(
-        self, drivable: Drivable, link: Link, velocity: AnyVelocity, payload: bytes, *, is_kept: bool = False
+        self, drivable: Drivable, link: Link, payloads: tuple[bytes, ...], *, is_zero: bool, is_kept: bool = False
     ) -> None:
-        """Queue a velocity; a zero for the endpoint that took the ones before.
+        """Queue a velocity for each command topic; a zero for the endpoints that took the ones before.
 
         Raises:
-            HostlinkError: it does not fit the device.
+            HostlinkError: it does not fit the device; a zero was queued for the topics that it fits.
         """
-        info = drivable.endpoint
-        if info is None or not velocity.is_zero or not link.session.send_zero(info, payload, is_kept=is_kept):
-            link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_kept)
+        refusal: HostlinkError | None = None
+        for topic, payload, info in zip(drivable.commands.topics, payloads, drivable.endpoints, strict=True):
+            if info is not None and is_zero and link.session.send_zero(info, payload, is_kept=is_kept):
+                continue
+            try:
+                link.session.publish(topic.name, payload, is_urgent=True, is_kept=is_kept)
+            except HostlinkError as error:
+                refusal = error
+                if not is_zero:  # the caller stops the other wheels, too
+                    break
+        if refusal is not None:
+            raise refusal
 
     def _send_last_zero(self, drivable: Drivable, connection: "Device") -> None:
         """Send the last zero. The device may have announced other topics, may have another link, or may be gone."""
-        link, info = connection.link, drivable.endpoint
+        link = connection.link
         if drivable.gate.may_move:
             with contextlib.suppress(HostlinkError):
-                self._put(drivable, link, ZERO, ZERO.encode())
-                link.wake()
-        if info is not None and not link.session.has(info):
-            connection.lost[info.name] = info
+                self._put(drivable, link, drivable.zeros, is_zero=True)
+            link.wake()
+        for info, zero in zip(drivable.endpoints, drivable.zeros, strict=True):
+            if info is not None and not link.session.has(info):
+                connection.lost[info.name] = LostEndpoint(info, zero)
 
     def _beat(self, driven: set[int]) -> None:
         """Report to the guardian that this process runs, and which links have robots that may move."""
@@ -635,21 +666,26 @@ class Gates:
         if self._guardian is not None:
             self._guardian.beat(driven)
 
-    def _endpoint_of(self, drivable: Drivable, connection: "Device") -> TopicInfo | None:
-        """Return the endpoint that takes zeros: the announced one, or the earlier one if a zero does not fit that."""
-        lost = connection.lost.get(drivable.velocity_topic)
-        try:
-            return connection.link.session.endpoint_of(drivable.velocity_topic, ZERO.encode())
-        except HostlinkError:
-            return lost if lost is not None and connection.link.session.may_have(lost) else None
+    def _endpoints_of(self, drivable: Drivable, connection: "Device") -> tuple[TopicInfo | None, ...]:
+        """Return the endpoints that take zeros: each the announced one, or the earlier one if a zero does not fit."""
+        session, found = connection.link.session, list[TopicInfo | None]()
+        for topic, zero in zip(drivable.commands.topics, drivable.zeros, strict=True):
+            lost = connection.lost.get(topic.name)
+            try:
+                found.append(session.endpoint_of(topic.name, zero))
+            except HostlinkError:
+                found.append(lost.info if lost is not None and session.may_have(lost.info) else None)
+        return tuple(found)
 
     def _guard(self, drivable: Drivable, connection: "Device") -> None:
-        """Give link and guardian the frame that stops the device when this process cannot."""
-        link, guarded_ids, info = connection.link, connection.guarded_ids, drivable.endpoint
-        if info is None:
-            return
-        link.last_frame += encode(info.topic_id, ZERO.encode())
-        if self._guardian is not None and len(guarded_ids) < MAX_GUARDED:
-            guarded_ids.append(info.topic_id)
-            longest_bytes = link.session.longest_to_device_bytes
-            self._guardian.watch(link.number, link.descriptor, topic_ids=guarded_ids, claim_bytes=longest_bytes)
+        """Give link and guardian the frames that stop the device when this process cannot."""
+        link, stops = connection.link, connection.stop_frames
+        for info, zero in zip(drivable.endpoints, drivable.zeros, strict=True):
+            if info is not None:
+                frame = encode(info.topic_id, zero)
+                link.last_frame += frame
+                if len(stops) < MAX_GUARDED:
+                    stops.append(frame)
+        if self._guardian is not None and stops:
+            claim_bytes = link.session.longest_to_device_bytes
+            self._guardian.watch(link.number, link.descriptor, zeros=stops, end=STOP_REQUEST, claim_bytes=claim_bytes)

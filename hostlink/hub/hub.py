@@ -18,7 +18,7 @@ from hostlink.hub.gates import Gates, Guard
 from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.graph_view import GraphView
 from hostlink.hub.isolation import Isolation
-from hostlink.hub.links import Links, addresses_of
+from hostlink.hub.links import Links, addresses_of, commands_by_name
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
 from hostlink.hub.participant import Participant
@@ -148,7 +148,7 @@ class Hub:
         self.links.check(places)
         self.config = config
         self.robots.reconfigure(config.robots)
-        return self.links.reconfigure(places)
+        return self.links.reconfigure(places, commands_by_name(config))
 
     # -- participants -------------------------------------------------------------------------------------------------
 

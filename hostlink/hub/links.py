@@ -5,26 +5,29 @@ import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import structlog
 from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from hostlink.config import Config, LinkConfig
-from hostlink.errors import HostlinkError, ReloadRefused
+from hostlink.errors import ConfigError, HostlinkError, ReloadRefused
 from hostlink.hub.device import Device, ShownNames, check_type
 from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.parameters import ParameterAnswers, ParameterSource
-from hostlink.hub.robot import LocalRobot
+from hostlink.hub.robot import LocalRobot, command_settings
 from hostlink.hub.robot_events import EventKind
 from hostlink.link.capture_buffer import CaptureRoom
 from hostlink.link.link import Link
 from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.logs import of_peer, printable
 from hostlink.protocol import events
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import Id
 from hostlink.protocol.session import Session
-from hostlink.robot.names import Accepted, Directory, Places, RobotTopicNames, Undecided
+from hostlink.robot.model import CommandSettings, Endpoint, RobotTopicNames
+from hostlink.robot.names import Accepted, Directory, Places, Undecided
 from hostlink.transport.base import Transport
 
 if TYPE_CHECKING:
@@ -50,7 +53,7 @@ class Links:
         self.undelivered = 0  # dropped messages of devices that were not identified yet
         self.late_answers = 0  # answers of devices' services after the timeout of the call
         self._hub, self._devices = hub, hub.robots.devices
-        self._directory = Directory(addresses_of(hub.config))
+        self._directory = Directory(addresses_of(hub.config), commands_by_name(hub.config))
         self._ends = hub.turns()
         self.calls = DeviceCalls(hub, give_up=self._give_up, name_of=self._service_name)
         # What every session and link gets, made once.
@@ -231,18 +234,33 @@ class Links:
             if robot.gate.lock_reason is not None:
                 raise ReloadRefused(f"{name} is locked: unlock it before its name changes")
 
-    def reconfigure(self, places: Places) -> dict[str, str]:
-        """Replace the configured addresses of robots. Return the new names of connected robots by their old ones."""
-        misplaced = self._directory.reconfigure(places)
+    def reconfigure(self, places: Places, settings: Mapping[str, CommandSettings]) -> dict[str, str]:
+        """Replace the configured addresses and commands of robots.
+
+        Return the new names of connected robots by their old ones.
+        """
+        misplaced = self._directory.reconfigure(places, settings)
         links = {name: link for name, link in misplaced.items() if link is not None}
-        for link in links.values():
+        touched = {*links.values(), *self._commanded_otherwise()}
+        for link in touched:
             self._leave_graph(self._devices[link])
         for name in misplaced:
             self._hub.robots.forget(name)
-        for link in links.values():
+        for link in touched:
             self._identify(self._devices[link])
         found = {name: self._devices[link].robot for name, link in links.items()}
         return {name: robot.name for name, robot in found.items() if robot is not None}
+
+    def _commanded_otherwise(self) -> list[int]:
+        """Return the links of devices whose commands have other settings than they were identified with."""
+        found = []
+        for number, device in self._devices.items():
+            link = device.link
+            endpoints = endpoints_of(device.infos)
+            settings = self._directory.settings_for(endpoints, address=link.address, peer=link.peer)
+            if device.infos and settings != device.settings:
+                found.append(number)
+        return found
 
     def _forget(self, link: Link) -> None:
         """Remove the device of a link that ended or was replaced."""
@@ -265,7 +283,7 @@ class Links:
         claim = self._directory.claim(
             link.number,
             link.address,
-            [(info.name, info.type, info.is_to_device) for info in infos],
+            endpoints_of(infos),
             now_s=asyncio.get_running_loop().time(),
             peer=link.peer,
             announced=infos,
@@ -306,24 +324,31 @@ class Links:
         """Put a device into the graph, as its robot if it has one."""
         if claim.replaces is not None:
             self._replace(claim.replaces)
+        device.settings = claim.settings
         touched, before = device.names, device.robot
         changed = [] if before is None else [before]
-        if claim.robot is None:
+        robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
+        if robot is None:
             self._hub.robots.vanish(device)
             device.announce(device.infos, ShownNames())
         else:
-            changed.append(self._accept_robot(device, claim, claim.robot))
+            changed.append(robot)
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         device.is_undecided = False
         for message, read in device.early.pop_all():
             device.receive(message, read)
 
-    def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> LocalRobot:
+    def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> LocalRobot | None:
+        """Return the device's robot; None if the settings of its command do not fit the device's topics."""
         before, robots = device.robot, self._hub.robots
         own = dataclasses.replace(names, name=claim.own_name)
         shown = ShownNames(own, names.name)
-        robot = robots.appear(names.name, own, shown.of_robot(own), device)
+        try:
+            robot = robots.appear(names.name, own, shown.of_robot(own), device)
+        except ConfigError as error:
+            log.warning("robot.settings_refused", robot=names.name, reason=str(error))
+            return None
         self._displace(robot)
         device.announce(device.infos, shown, robot)
         if not claim.is_certain and before is not robot and robot.gate.lock_reason is None:
@@ -343,7 +368,8 @@ class Links:
             for key in self._hub.topics.devices_against(name, type_name):
                 device = self._hub.robots.device(key)
                 other = None if device is None else device.robot
-                is_own = other is not None and name in other.shown.own and name != robot.shown.velocity
+                is_command = name in {topic.name for topic in robot.shown.commands}
+                is_own = other is not None and name in other.shown.own and not is_command
                 if device is not None and other is not robot and not is_own:
                     device.displace(name, type_name, other)
 
@@ -372,6 +398,17 @@ class Links:
         device.leave()
         if robot is not None or touched:
             self._hub.robot_topics.update([] if robot is None else [robot], touched)
+
+
+def endpoints_of(infos: Iterable[TopicInfo]) -> list[Endpoint]:
+    """Return the topics of an announcement as the model of robots knows them."""
+    kinds = (Id.PUBLISHER, Id.SUBSCRIBER)
+    return [Endpoint(info.name, info.type, info.kind is Id.SUBSCRIBER) for info in infos if info.kind in kinds]
+
+
+def commands_by_name(config: Config) -> dict[str, CommandSettings]:
+    """Return what the settings say of robots' commands, by name of the robot."""
+    return {name: command_settings(robot) for name, robot in config.robots.items()}
 
 
 def addresses_of(config: Config) -> dict[str, str | None]:

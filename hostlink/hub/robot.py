@@ -5,15 +5,15 @@ import functools
 import math
 import secrets
 from abc import abstractmethod
-from collections.abc import Awaitable, Callable, Hashable, Iterable
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import msgspec
 import structlog
 
-from hostlink.config import CalibrationConfig, RobotConfig
-from hostlink.errors import BadPayload, CommandRefused, DeviceGone, HostlinkError
+from hostlink.config import CalibrationConfig, RobotConfig, WheelsConfig
+from hostlink.errors import BadPayload, CommandRefused, ConfigError, DeviceGone, HostlinkError
 from hostlink.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node, address_of
@@ -24,8 +24,25 @@ from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, Command
-from hostlink.robot.names import SURE_S, RobotTopicNames
+from hostlink.robot.command_types import (
+    ACKERMANN_TYPES,
+    NUMBER_TYPES,
+    AckermannCommand,
+    CommandType,
+    JoyCommand,
+    TopicType,
+    TwistCommand,
+    WheelCommand,
+    WheelScale,
+    WordCommand,
+    Words,
+)
+from hostlink.robot.kinematics import SETTINGS as DIMENSIONS
+from hostlink.robot.kinematics import AckermannDrive, Drive, drive_of
+from hostlink.robot.model import CommandKind, CommandSettings, RobotTopicNames
+from hostlink.robot.names import SURE_S
 from hostlink.robot.odometry import READERS, OdometryCorrection, OdometryEstimator, OdometrySnapshot
+from hostlink.robot.ros_messages import FrameIds
 from hostlink.robot.standstill import OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import PlanarVelocity
@@ -72,8 +89,97 @@ def limits_of(config: RobotConfig) -> Limits:
     return Limits(**{name: getattr(config, name) for name in LIMITS})
 
 
+def frames_of(name: str, config: RobotConfig) -> FrameIds:
+    """Return the frame ids of a robot."""
+    return FrameIds(config.odom_frame or f"{name}/odom", config.base_frame or f"{name}/base_link")
+
+
+def command_settings(config: RobotConfig) -> CommandSettings:
+    """Return what the settings of a robot say of its command."""
+    kinds: dict[CommandKind, tuple[str, ...]] = {}
+    if config.wheels is not None:
+        kinds[CommandKind.WHEELS] = config.wheels.topics
+    if config.joy is not None:
+        kinds[CommandKind.JOY] = (config.joy.topic,)
+    if config.words is not None:
+        kinds[CommandKind.WORDS] = (config.words.topic,)
+    kind, topics = next(iter(kinds.items()), (None, ()))
+    if kind is None and config.command_topic is not None:
+        topics = (config.command_topic,)
+    is_spatial = config.kinematics == "spatial"
+    return CommandSettings(kind, topics, config.odometry_topic, frozenset(config.not_commands), is_spatial)
+
+
+def drive_for(config: RobotConfig, topics: Sequence[TopicType]) -> Drive:
+    """Return the drive of a robot: as configured, otherwise as its command needs it.
+
+    Raises:
+        ConfigError: a dimension is invalid.
+    """
+    kinematics: str = config.kinematics
+    if kinematics == "" and topics[0].type_name in ACKERMANN_TYPES:
+        kinematics = "ackermann"
+    elif kinematics == "" and config.wheels is not None:
+        kinematics = "differential"
+    return drive_of(kinematics, {name: getattr(config, name) for name in DIMENSIONS})
+
+
+def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[WheelScale]:
+    """Return how the speed of each wheel becomes its number.
+
+    Raises:
+        ConfigError: the settings do not fit the number of wheels, or a dimension is missing.
+    """
+    directions = wheels.directions or (1.0,) * count
+    if len(directions) != count:
+        raise ConfigError("wheels", f"{len(directions)} directions for {count} wheels")
+    if wheels.unit == "pwm":
+        per_m_s = wheels.full / (config.max_wheel_m_s or config.max_linear_m_s or 1.0)
+        bounds = wheels.rest - abs(wheels.full), wheels.rest + abs(wheels.full)
+        return [WheelScale(per_m_s, direction, wheels.rest, *bounds) for direction in directions]
+    per_m_s = 1.0
+    if wheels.unit != "m_s":
+        if not config.wheel_radius_m:
+            raise ConfigError("wheels", f'unit = "{wheels.unit}" needs wheel_radius_m')
+        per_turn = {"rad_s": math.tau, "rpm": 60.0, "ticks_s": wheels.ticks_per_turn}[wheels.unit]
+        per_m_s = per_turn / (math.tau * config.wheel_radius_m)
+    return [WheelScale(per_m_s, direction, wheels.rest) for direction in directions]
+
+
+def commands_of(
+    topics: Sequence[TopicType], config: RobotConfig, *, kind: CommandKind = CommandKind.TWIST, frame_id: str = ""
+) -> CommandType:
+    """Return the encoder of a robot's command topics.
+
+    Raises:
+        ConfigError: the settings do not fit the types of the topics.
+    """
+    drive, full = (
+        drive_for(config, topics),
+        PlanarVelocity(config.max_linear_m_s, config.max_linear_m_s, config.max_angular_rad_s),
+    )
+    if kind is CommandKind.WHEELS and config.wheels is not None:
+        count = 1 if len(topics) == 1 and topics[0].type_name in NUMBER_TYPES else len(drive.wheels)
+        scales = wheel_scales(config.wheels, config, count)
+        return WheelCommand(topics, drive, scales, joints=config.wheels.joints)
+    if kind is CommandKind.JOY and config.joy is not None:
+        joy = config.joy
+        axes = (joy.x_axis, joy.y_axis, joy.yaw_axis)
+        return JoyCommand(
+            topics[0], axes=axes, full=full, axis_count=joy.axes, button_count=joy.buttons, button=joy.button
+        )
+    if kind is CommandKind.WORDS and config.words is not None:
+        words = config.words
+        return WordCommand(topics[0], Words(words.forward, words.backward, words.left, words.right, words.stop), full)
+    if topics[0].type_name in ACKERMANN_TYPES and isinstance(drive, AckermannDrive):
+        return AckermannCommand(topics[0], drive, frame_id)
+    return TwistCommand(topics[0], frame_id)
+
+
 LOCK_REASON = "emergency stop"  # default
 MAX_LOCK_REASON = 200  # characters, as many as a fleet passes on; a longer reason ends with an ellipsis
+
+NO_ODOMETRY = "it has no odometry"
 
 Follow = Callable[[Message | None], None]
 
@@ -189,6 +295,11 @@ class LocalRobot(Drivable, AnyRobot):
     followers: dict[Hashable, Follow] = field(default_factory=dict)
 
     @property
+    def frames(self) -> FrameIds:
+        """Frame ids of its odometry and of its body."""
+        return frames_of(self.name, self.config)
+
+    @property
     def is_played(self) -> bool:
         """Whether its device is a recording."""
         return self.connection is not None and self.connection.diagnosis.is_played
@@ -207,6 +318,7 @@ class LocalRobot(Drivable, AnyRobot):
             odometry_topic=shown.odometry,
             odometry_type=shown.odometry_type,
             reset_topic=shown.reset,
+            command_type=shown.velocity_type,
             is_played=self.is_played,
             holder=None if driver is None else str(driver.source),
             holder_address=None if driver is None else address_of(driver.source) or None,
@@ -291,6 +403,8 @@ class LocalRobot(Drivable, AnyRobot):
         link = self.link
         if link is None:
             return "its device is not connected"
+        if self.topics.odometry is None:
+            return NO_ODOMETRY
         if self.odometry.count == 0:
             return "it sends no odometry"
         if link.silent_s > OLD_S:
@@ -475,6 +589,8 @@ class RemoteRobot(AnyRobot):
         """Return the reason why odometry does not show whether the robot is stopped."""
         if self.link is None:
             return "its device is not connected"
+        if self.known.odometry_topic is None:
+            return NO_ODOMETRY
         if self.odometry.count == 0:
             return "it sends no odometry"
         return f"no odometry of it has come from {self.host} since the stop"

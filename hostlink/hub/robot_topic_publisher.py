@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import structlog
 
-from hostlink.config import RobotConfig
 from hostlink.errors import HostlinkError
+from hostlink.hub.gates import Echo
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
 from hostlink.hub.robot import LocalRobot
@@ -111,8 +111,10 @@ class RobotTopicPublisher:
 
     def _open(self, robot: LocalRobot) -> None:
         is_away = robot.link is None
-        offer = self._offers[robot.name] = _Offer(robot, frames_of(robot.name, robot.config), is_away)
-        commands = (dict.fromkeys(robot.velocities, TWIST_TYPE) if is_away else {}) | command_topics(robot)
+        offer = self._offers[robot.name] = _Offer(robot, robot.frames, is_away)
+        commands = command_topics(robot)
+        if is_away:
+            commands = dict.fromkeys(robot.velocities, TWIST_TYPE) | dict(robot.shown.commands) | commands
         offer.wanted = frozenset(map(resolve, filter(None, commands if is_away else own_topics(robot))))
         for name in offer.wanted:
             self._candidates[name] = (*self._candidates.get(name, ()), robot.name)
@@ -126,6 +128,8 @@ class RobotTopicPublisher:
 
     def _advertise_poses(self, offer: _Offer) -> None:
         robot = offer.robot
+        if robot.shown.odometry is None:
+            return
         offer.odom = self._advertise(_odom(robot), ODOMETRY_TYPE, robot.shown.odometry)
         offer.publishes_tf = robot.config.publish_tf and not self._publishes(robot, TF_TOPIC)
         if offer.publishes_tf and self._tf is None:
@@ -196,7 +200,7 @@ class RobotTopicPublisher:
             log.warning("topic.refused", topic=name, reason=str(error))
             return False
         if type_name == TWIST_TYPE and not is_away:
-            robot.echoes[topic.name] = topic
+            robot.echoes[topic.name] = Echo(topic)
         return True
 
     def _receive_alone(self, robot: LocalRobot, message: Message) -> None:
@@ -209,18 +213,14 @@ class RobotTopicPublisher:
         return topic is not None and robot.link in topic.publishers
 
 
-def frames_of(name: str, config: RobotConfig) -> FrameIds:
-    """Return the frame ids of a robot."""
-    return FrameIds(config.odom_frame or f"{name}/odom", config.base_frame or f"{name}/base_link")
-
-
 def _odom(robot: LocalRobot) -> str:
     return _chosen(robot.config.odom_topic, f"{robot.name}/odom")
 
 
 def own_topics(robot: LocalRobot) -> list[str]:
     """Return the configured names of all topics that hostlink offers for a robot."""
-    return [name for name in (_odom(robot), *command_topics(robot)) if name]
+    odom = "" if robot.shown.odometry is None else _odom(robot)
+    return [name for name in (odom, *command_topics(robot)) if name]
 
 
 def command_topics(robot: LocalRobot) -> dict[str, str]:
@@ -229,6 +229,13 @@ def command_topics(robot: LocalRobot) -> dict[str, str]:
         _chosen(robot.config.cmd_vel_topic, f"{robot.name}/cmd_vel"): TWIST_TYPE,
         _chosen(robot.config.cmd_vel_stamped_topic, f"{robot.name}/cmd_vel_stamped"): TWIST_STAMPED_TYPE,
     }
+
+
+def twist_topic(robot: LocalRobot) -> str:
+    """Return the full name of a topic on which the velocities of a robot are Twists."""
+    if robot.shown.velocity_type == TWIST_TYPE:
+        return robot.shown.velocity
+    return resolve(next(iter(command_topics(robot))))
 
 
 def _chosen(configured: str | None, default: str) -> str:

@@ -15,12 +15,22 @@ from hostlink.config import RobotConfig
 from hostlink.errors import UnknownTopic
 from hostlink.hub.device import Device
 from hostlink.hub.gates import Drivable
-from hostlink.hub.robot import AnyRobot, LocalRobot, RemoteRobot, correction_of, limits_of, of_namesake
+from hostlink.hub.robot import (
+    AnyRobot,
+    LocalRobot,
+    RemoteRobot,
+    commands_of,
+    correction_of,
+    frames_of,
+    limits_of,
+    of_namesake,
+)
 from hostlink.hub.robot_events import OTHER_TOPICS, EventKind
 from hostlink.link.link import Link
 from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
-from hostlink.robot.names import RobotTopicNames
+from hostlink.robot.command_types import CommandType
+from hostlink.robot.model import RobotTopicNames
 from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate
@@ -234,7 +244,12 @@ class Robots:
         """Connect a robot to its device, with topics as the device names them and as the graph shows them.
 
         Earlier commands are void: the first velocity is zero.
+
+        Raises:
+            ConfigError: the settings of its command do not fit the topics.
         """
+        config = self._config_of(name, topics.name)
+        commands = commands_of(topics.commands, config, kind=topics.kind, frame_id=frames_of(name, config).base)
         if device.robot is not None and device.robot.name != name:
             self.vanish(device)
         robot = self._robots.get(name)
@@ -242,14 +257,14 @@ class Robots:
             self._gates.note_end(robot, OTHER_TOPICS)
         self._gates.detach(device)
         if robot is None:
-            robot = self._robots[name] = self._make(name, topics, shown)
+            robot = self._robots[name] = self._make(name, topics, shown, commands)
             self._gates.register(robot.admission)
             self._join_early(robot)
         before = self.device(robot.link)
         if before is not None:
             before.robot = None
             self._gates.detach(before)
-        robot.topics, robot.shown, robot.velocity_topic = topics, shown, topics.velocity
+        robot.topics, robot.shown, robot.commands = topics, shown, commands
         robot.battery = None
         device.robot = robot
         self._away.remove(name)
@@ -339,14 +354,14 @@ class Robots:
                     await self._wake.wait()
             self._forget_some()
 
-    def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames) -> LocalRobot:
+    def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, commands: CommandType) -> LocalRobot:
         config = self._config_of(name, topics.name)
         admission = Admission(name, epoch=secrets.randbits(EPOCH_BITS))
         robot = LocalRobot(
             name=name,
             gates=self._gates,
             on_lock=self._note_lock,
-            velocity_topic=topics.velocity,
+            commands=commands,
             gate=VelocityGate(admission, limits_of(config), ZERO),
             config=config,
             odometry=OdometryEstimator(

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import re
 from array import array
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
@@ -10,7 +9,16 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import NamedTuple, TypeVar
 
-from hostlink.robot.velocity import TWIST_TYPE
+from hostlink.robot.model import (
+    LONGEST_NAME,
+    NO_SETTINGS,
+    CommandSettings,
+    Endpoint,
+    RobotTopicNames,
+    find_robot,
+    leaf_of,
+    select,
+)
 
 SURE_S = 3.0  # docs/protocol.md#time: a live device requests the time every 2.5 s
 SOONEST_S = 0.5  # longer than the project's passthrough waits before it dials again: 0.2 s
@@ -49,15 +57,17 @@ class Presence:
 Key = TypeVar("Key")
 
 PLAYED = "a recording"  # the address of all recordings that are played
-LONGEST_NAME = 64  # characters; names are used in logs, paths and labels
+UNNAMED = "robot"  # with a number: the name of a robot that nothing names
+MAX_REMEMBERED = 4096  # places of robots that nothing names
 
 
 class Origin(NamedTuple):
     """Facts about a device before it has a name: the name that it announces, and its address."""
 
-    own: str  # the name that it announces
+    own: str  # the name that it announces; robot_0 if it announces none
     address: str
     peer: str  # the address with its port; of a serial port the path
+    is_unnamed: bool = False  # neither namespace nor topic tell a name
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +88,7 @@ class Places:
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
         """`addresses`: robot name -> IP address, also with a port, or serial port."""
         self._names: defaultdict[str, list[str]] = defaultdict(list)
+        self._configured = frozenset(addresses)
         self._with_place = {name for name, address in addresses.items() if address is not None}
         for name, address in addresses.items():
             if address is not None:
@@ -86,6 +97,10 @@ class Places:
     def has(self, name: str) -> bool:
         """Whether this robot has a place."""
         return name in self._with_place
+
+    def is_configured(self, name: str) -> bool:
+        """Whether the configuration names this robot, with or without a place."""
+        return name in self._configured
 
     def at(self, origin: Origin) -> list[str]:
         """The robots that are configured where the device is."""
@@ -102,16 +117,22 @@ class RobotNames:
     3. a name that the configuration gives to the address: first those that no device had before, in their order;
     4. the name that the device announces, unless the configuration gives it to another address, or several devices
        announce it and its last owner is at another address;
-    5. that name with a number: robot_0_2, robot_0_3, ...
+    5. that name with a number: car_2, car_3, ...
+
+    A robot that announces no name is robot_0, robot_1, ...: that of its address, as long as it is remembered.
 
     A recording that is played leaves its name to the robot, and is not counted among those that announce it.
 
     A name without a device stays its last owner's until it is forgotten.
     """
 
-    def __init__(self, addresses: Mapping[str, str | None]) -> None:
-        """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port."""
+    def __init__(self, addresses: Mapping[str, str | None], remembered: Mapping[str, str] | None = None) -> None:
+        """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port.
+
+        `remembered`: address -> name, of robots that nothing names.
+        """
         self.places = Places(addresses)
+        self.remembered = dict(remembered or {})
         self.links: dict[str, int] = {}  # of the names that a device has now
         self._owners: dict[str, Origin] = {}
         self._of_origin: defaultdict[tuple[str, str], dict[str, None]] = defaultdict(dict)  # in the order of coming
@@ -140,6 +161,8 @@ class RobotNames:
             return Named(same or before[0], same is not None or len(had) == 1)
         if free:
             return Named(next((name for name in free if name not in self._owners), free[0]), is_only_one)
+        if origin.is_unnamed:
+            return Named(self._unnamed(origin))
         if self._is_free(origin):
             return Named(origin.own)
         return Named(self._numbered(origin.own), is_new_number=True)
@@ -152,6 +175,11 @@ class RobotNames:
         self._of_origin[origin.own, origin.address][name] = None
         if origin.address != PLAYED:
             self._of_own[origin.own][name] = None
+        if origin.is_unnamed and name.startswith(UNNAMED):
+            self.remembered.pop(origin.address, None)
+            self.remembered[origin.address] = name
+            while len(self.remembered) > MAX_REMEMBERED:
+                del self.remembered[next(iter(self.remembered))]
 
     def leave(self, name: str) -> None:
         """Note that the device has disconnected; it keeps its name."""
@@ -172,8 +200,10 @@ class RobotNames:
     def is_numbered(self, name: str, origin: Origin) -> bool:
         """Whether a device was given a number, because nothing distinguished it from another.
 
-        A recording is not a device.
+        A recording is not a device. A robot that announces no name has the number of its address.
         """
+        if origin.is_unnamed and len(self._names_of(origin)) <= 1:
+            return False
         return origin.address != PLAYED and name != origin.own and name not in self.places.at(origin)
 
     def _names_of(self, origin: Origin) -> list[str]:
@@ -187,6 +217,17 @@ class RobotNames:
             return False
         return owner is None or (owner.own == name and len(self._of_own.get(name, ())) <= 1)
 
+    def _unnamed(self, origin: Origin) -> str:
+        """Return robot_0, robot_1, ...: the name that was given to the address, else the first that nobody has."""
+        known = self.remembered.get(origin.address)
+        if known is not None and known not in self.links and not self.places.has(known):
+            return known
+        taken = set(self.remembered.values())
+        names = itertools.chain((origin.own,), (f"{UNNAMED}_{number}" for number in itertools.count()))
+        return next(
+            name for name in names if name not in self._owners and name not in taken and not self.places.has(name)
+        )
+
     def _numbered(self, own: str) -> str:
         numbers = (f"_{number}" for number in itertools.count(2))
         names = (own[: LONGEST_NAME - len(number)] + number for number in numbers)
@@ -199,47 +240,12 @@ def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None
         del names[key]
 
 
-ODOMETRY_TYPES = ("geometry_msgs/Pose2D", "nav_msgs/Odometry")
-RESET_TYPE = "std_msgs/Empty"
 _MARK, _MARK_TYPE = "played", "std_msgs/String"  # a topic of a recording that is played as a device
-_USUAL_NAMES = ("velocity_commands", "cmd_vel")  # the likelier first
-_DEFAULT_NAME = "robot"
 
 LATE_S = 0.1  # what was on its way when the other device announced its topics
 ANSWER_S = 0.5  # a device answers a request for its topics in a turn of its loop, its line may be busy
 AGAIN_S = 10.0  # two that count each other as dead, because their loops are slow, do so within a few seconds
 MOVING_S = 3.0  # by then a link that died has been ended for its silence
-TopicClaim = tuple[str, str, bool]  # name, type, whether its direction is to the device
-Odometry = tuple[str, str]  # name, type
-
-
-@dataclass(frozen=True, slots=True)
-class RobotTopicNames:
-    """A robot and the topics by which it is driven and read."""
-
-    name: str
-    velocity: str
-    odometry: str
-    odometry_type: str
-    reset: str | None
-
-    @property
-    def namespace(self) -> tuple[str, ...]:
-        """Common namespace of velocity and odometry; otherwise that of the velocity, or of the odometry."""
-        return _common(_namespace(self.velocity), _namespace(self.odometry))
-
-    @property
-    def own(self) -> dict[str, str]:
-        """The topics that no other device may use with another type, and their types.
-
-        Its velocity, wherever it is: that all of these have one type. The others in its namespace.
-        """
-        others = {self.odometry: self.odometry_type}
-        if self.reset is not None:
-            others[self.reset] = RESET_TYPE
-        here = self.namespace
-        own = {name: type_name for name, type_name in others.items() if _namespace(name)[: len(here)] == here}
-        return {**own, self.velocity: TWIST_TYPE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,6 +262,7 @@ class Accepted:
     own_name: str = ""
     is_certain: bool = True
     is_numbered: bool = False
+    settings: CommandSettings = NO_SETTINGS  # of the robot's command
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,12 +308,26 @@ class Directory:
     recording that is played has a robot's name only until the robot itself connects, whose link replaces its own.
     """
 
-    def __init__(self, addresses: Mapping[str, str | None]) -> None:
-        """`addresses`: robot name -> the peer address or serial port that the configuration gives it."""
-        self._names = RobotNames(addresses)
+    def __init__(
+        self,
+        addresses: Mapping[str, str | None],
+        settings: Mapping[str, CommandSettings] | None = None,
+        remembered: Mapping[str, str] | None = None,
+    ) -> None:
+        """`addresses`: robot name -> the peer address or serial port that the configuration gives it.
+
+        `settings`: what commands each robot. `remembered`: address -> name, of robots that nothing names.
+        """
+        self._names = RobotNames(addresses, remembered)
+        self._settings = dict(settings or {})
         self._entries: dict[int, _Entry] = {}
         self._presences: dict[int, Presence] = {}
         self._settled: defaultdict[tuple[str, Hashable], dict[int, None]] = defaultdict(dict)
+
+    @property
+    def remembered(self) -> dict[str, str]:
+        """Addresses of robots that nothing names, and their names: for the next start of the daemon."""
+        return self._names.remembered
 
     def presence(self, link: int) -> Presence:
         """Return the presence of a link, which notes each read from its device."""
@@ -319,7 +340,7 @@ class Directory:
         self,
         link: int,
         address: str,
-        topics: Sequence[TopicClaim],
+        topics: Sequence[Endpoint],
         *,
         now_s: float,
         peer: str = "",
@@ -327,14 +348,20 @@ class Directory:
     ) -> Accepted | Undecided:
         """A device has announced its topics (again); `announced`: all of it, if that is more than the topics."""
         self.presence(link).note_read(now_s)
-        robot = find_robot(topics)
+        robot, settings = self.find(topics, Origin("", address, peer))
         if is_played(topics):
             address = peer = PLAYED
-        key = (address, announced or frozenset(topics)) if robot is None else (address, robot.name)
+        is_unnamed = robot is not None and not robot.name
+        if robot is not None and is_unnamed:
+            own = UNNAMED if self._names.places.is_configured(UNNAMED) else f"{UNNAMED}_0"
+            robot = replace(robot, name=own)
+        key: tuple[str, Hashable] = (address, robot.name if robot is not None and not is_unnamed else "")
+        if robot is None or is_unnamed:  # nothing but its topics distinguishes it from another
+            key = (address, announced or frozenset(topics))
         entry, is_new = self._entries.get(link), False
         if entry is None or entry.key != key:
             self._release(link)
-            origin = Origin("" if robot is None else robot.name, address, peer)
+            origin = Origin("" if robot is None else robot.name, address, peer, is_unnamed)
             entry, is_new = _Entry(origin, key, now_s), True
             self._entries[link] = entry
         replaces = None
@@ -350,21 +377,53 @@ class Directory:
             self._settle(link, entry, named, replaces)
             entry.replaced_at_s = -math.inf if gone is None else entry.since_s
         if robot is None or entry.name is None:
-            return Accepted(None, replaces)
+            return Accepted(None, replaces, settings=settings)
         is_numbered = self._names.is_numbered(entry.name, entry.origin)
-        return Accepted(replace(robot, name=entry.name), replaces, robot.name, entry.is_certain, is_numbered)
+        here = replace(robot, name=entry.name)
+        return Accepted(here, replaces, robot.name, entry.is_certain, is_numbered, settings)
+
+    def _described(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[str | None, CommandSettings]:
+        """Return the robot whose settings describe a device, and these settings.
+
+        Settings with the device's address precede; then those without an address whose topics the device has.
+        """
+        here = {name: self._settings[name] for name in self._names.places.at(origin) if name in self._settings}
+        free = {name: each for name, each in self._settings.items() if not self._names.places.has(name)}
+        chosen = select(here, topics) or select(free, topics)
+        if chosen is not None:
+            return chosen, self._settings[chosen]
+        return None, next(iter(here.values()), NO_SETTINGS)
+
+    def find(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[RobotTopicNames | None, CommandSettings]:
+        """Return the robot that a device is, by its topics and the settings, and these; None: it takes no velocity."""
+        chosen, settings = self._described(topics, origin)
+        robot = find_robot(topics, settings)
+        if robot is not None and chosen is not None:
+            return replace(robot, name=chosen), settings
+        named = NO_SETTINGS if robot is None else self._settings.get(robot.name, NO_SETTINGS)
+        if settings == NO_SETTINGS and named != NO_SETTINGS and not named.topics:
+            return find_robot(topics, named), named
+        return robot, settings
+
+    def settings_for(self, topics: Sequence[Endpoint], *, address: str, peer: str) -> CommandSettings:
+        """Return the settings of the command of a device."""
+        return self.find(topics, Origin("", address, peer))[1]
 
     def misplaced(self, places: Places) -> dict[str, int | None]:
         """The names that these places would change, and the link of each; None: its device is away."""
         return {name: self._names.links.get(name) for name in self._names.misplaced(places)}
 
-    def reconfigure(self, places: Places) -> dict[str, int | None]:
+    def reconfigure(
+        self, places: Places, settings: Mapping[str, CommandSettings] | None = None
+    ) -> dict[str, int | None]:
         """Names by these places from now on; each device whose name they change must claim again.
 
         Returns what was `misplaced`.
         """
         misplaced = self.misplaced(places)
         self._names.places = places
+        if settings is not None:
+            self._settings = dict(settings)
         for name, link in misplaced.items():
             if link is not None:
                 self._release(link)
@@ -434,75 +493,8 @@ class Directory:
             self._names.leave(entry.name)
 
 
-def find_robot(topics: Sequence[TopicClaim]) -> RobotTopicNames | None:
-    """A device that subscribes to a Twist and publishes a pose is a robot, named by their common namespace."""
-    velocities = [topic for topic, type_name, is_to_device in topics if is_to_device and type_name == TWIST_TYPE]
-    odometries = [
-        (topic, type_name)
-        for topic, type_name, is_to_device in topics
-        if not is_to_device and type_name in ODOMETRY_TYPES
-    ]
-    if not velocities or not odometries:
-        return None
-    velocity, (odometry, odometry_type) = _likeliest_pair(velocities, odometries)
-    namespaces = (_namespace(velocity), _namespace(odometry))
-    resets = [
-        topic
-        for topic, type_name, is_to_device in topics
-        if is_to_device and type_name == RESET_TYPE and "reset" in _leaf(topic) and _namespace(topic) in namespaces
-    ]
-    reset = min(resets, key=lambda topic: ("odom" not in _leaf(topic), topic), default=None)
-    return RobotTopicNames(_name(*namespaces), velocity, odometry, odometry_type, reset)
-
-
-def is_played(topics: Sequence[TopicClaim]) -> bool:
+def is_played(endpoints: Sequence[Endpoint]) -> bool:
     """Whether it is a recording that is played: it says so by a topic."""
     return any(
-        type_name == _MARK_TYPE and not is_to_device and _leaf(topic) == _MARK
-        for topic, type_name, is_to_device in topics
+        each.type_name == _MARK_TYPE and not each.is_to_device and leaf_of(each.name) == _MARK for each in endpoints
     )
-
-
-def _parts(topic: str) -> list[str]:
-    return [part for part in topic.lstrip("~").split("/") if part]
-
-
-def _leaf(topic: str) -> str:
-    return _parts(topic)[-1] if _parts(topic) else ""
-
-
-def _namespace(topic: str) -> tuple[str, ...]:
-    return tuple(_parts(topic)[:-1])
-
-
-def _common(velocity: tuple[str, ...], odometry: tuple[str, ...]) -> tuple[str, ...]:
-    """Common part of two namespaces; otherwise the one that is not empty."""
-    pairs = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(velocity, odometry, strict=False))
-    return tuple(here for here, _ in pairs) or velocity or odometry
-
-
-def _name(velocity: tuple[str, ...], odometry: tuple[str, ...]) -> str:
-    name = "_".join(_common(velocity, odometry))
-    return re.sub(r"\W", "_", name, flags=re.ASCII)[:LONGEST_NAME] or _DEFAULT_NAME
-
-
-def _likeliest_pair(velocities: Sequence[str], odometries: Sequence[Odometry]) -> tuple[str, Odometry]:
-    """The pair that a person would choose: usual names, one namespace. Each topic is visited once."""
-    best: dict[tuple[str, ...], Odometry] = {}
-    for odometry in sorted(odometries, key=_unlikelihood, reverse=True):
-        best[_namespace(odometry[0])] = odometry
-    usual = min(map(_rank, velocities))
-    usual_velocities = sorted(velocity for velocity in velocities if _rank(velocity) == usual)
-    together = [(velocity, best[_namespace(velocity)]) for velocity in usual_velocities if _namespace(velocity) in best]
-    if together:
-        return min(together, key=lambda pair: (_unlikelihood(pair[1])[0], *pair))
-    return usual_velocities[0], min(odometries, key=_unlikelihood)
-
-
-def _rank(velocity: str) -> int:
-    leaf = _leaf(velocity)
-    return _USUAL_NAMES.index(leaf) if leaf in _USUAL_NAMES else len(_USUAL_NAMES)
-
-
-def _unlikelihood(odometry: Odometry) -> tuple[bool, Odometry]:
-    return "odom" not in _leaf(odometry[0]), odometry

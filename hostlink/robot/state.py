@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 
 from hostlink.robot.odometry import OdometrySnapshot
-from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, PlanarVelocity
 
 BATTERY_TYPE = "sensor_msgs/BatteryState"
 MAX_PRIORITY = 100  # a person at keys or a joystick has 60
@@ -36,8 +36,9 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     link: int | None = None  # the number of its device's connection; None: the device is not connected
     frames: int | None = None  # that its device has sent on this link; None for a robot of another daemon
     velocity_topic: TopicName
-    odometry_topic: TopicName
-    odometry_type: TypeName
+    command_type: TypeName = TWIST_TYPE  # of its velocity topic
+    odometry_topic: TopicName | None = None
+    odometry_type: TypeName | None = None
     reset_topic: TopicName | None = None
     is_played: bool = False  # its device is a recording, which cannot be driven
     holder: Text | None = None  # who drives it

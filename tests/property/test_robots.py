@@ -18,6 +18,7 @@ from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.device import Device, check_type
 from hostlink.hub.gates import TICK_S
 from hostlink.hub.hub import Hub
+from hostlink.hub.links import endpoints_of
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
 from hostlink.messages.catalog import Catalog
@@ -27,7 +28,8 @@ from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.names import Presence, find_robot
+from hostlink.robot.model import find_robot
+from hostlink.robot.names import Presence
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import ZEROS
 from tests.support.fake_device import robot_topics
@@ -97,7 +99,7 @@ class Drivers(RuleBasedStateMachine):
 
     def react(self, link: Link, event: Event) -> None:
         if isinstance(event, TopicsNegotiated) and event.is_changed:
-            robot = find_robot([(info.name, info.type, info.is_to_device) for info in event.topics])
+            robot = find_robot(endpoints_of(event.topics))
             assert robot is not None
             self.robots.appear(NAME, robot, robot, self.robots.devices[link.number])
             if self.is_eager and self.locked_since is None:

@@ -319,7 +319,7 @@ def state_of(robot: LocalRobot) -> RobotMessage:
         also_at=(),
         frames=None,
         velocity_topic=fleet_name(robot, state.velocity_topic),
-        odometry_topic=fleet_name(robot, state.odometry_topic),
+        odometry_topic=None if state.odometry_topic is None else fleet_name(robot, state.odometry_topic),
         reset_topic=None if state.reset_topic is None else fleet_name(robot, state.reset_topic),
         holder=None if state.holder is None else printable(state.holder, _TEXT_CHARS),
         holder_address=None,

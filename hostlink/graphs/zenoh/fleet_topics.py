@@ -267,7 +267,7 @@ class FleetTopics:
         own = {
             name: robot
             for robot in robots.values()
-            for name in (robot.shown.velocity, robot.shown.odometry, robot.shown.reset)
+            for name in (*(each.name for each in robot.shown.commands), robot.shown.odometry, robot.shown.reset)
             if name is not None
         }
         found = {}

@@ -9,16 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.robot.names import (
-    ANSWER_S,
-    SURE_S,
-    Accepted,
-    Directory,
-    RobotTopicNames,
-    TopicClaim,
-    Undecided,
-    find_robot,
-)
+from hostlink.robot.command_types import TopicType
+from hostlink.robot.model import Endpoint, RobotTopicNames, find_robot
+from hostlink.robot.names import ANSWER_S, SURE_S, Accepted, Directory, Undecided
 from hostlink.robot.velocity import TWIST_TYPE
 
 TWIST, POSE, ODOMETRY, EMPTY = "geometry_msgs/Twist", "geometry_msgs/Pose2D", "nav_msgs/Odometry", "std_msgs/Empty"
@@ -28,18 +21,18 @@ names = st.builds(
     st.sampled_from(["", "a/", "b/", "a/b/"]),
     st.sampled_from(["velocity_commands", "cmd_vel", "speed", "odom", "my_odometry", "pose"]),
 )
-SENSOR: list[TopicClaim] = [("/range", "sensor_msgs/Range", False)]
+SENSOR: list[Endpoint] = [Endpoint("/range", "sensor_msgs/Range", False)]
 
 
-def to_device(name: str, type_name: str = TWIST) -> TopicClaim:
-    return name, type_name, True
+def to_device(name: str, type_name: str = TWIST) -> Endpoint:
+    return Endpoint(name, type_name, is_to_device=True)
 
 
-def from_device(name: str, type_name: str = POSE) -> TopicClaim:
-    return name, type_name, False
+def from_device(name: str, type_name: str = POSE) -> Endpoint:
+    return Endpoint(name, type_name, is_to_device=False)
 
 
-def paper_robot(name: str = "robot_0") -> list[TopicClaim]:
+def paper_robot(name: str = "robot_0") -> list[Endpoint]:
     return [
         to_device(f"/{name}/velocity_commands"),
         to_device(f"/{name}/reset_odometry", EMPTY),
@@ -49,7 +42,7 @@ def paper_robot(name: str = "robot_0") -> list[TopicClaim]:
     ]
 
 
-def plain_robot() -> list[TopicClaim]:
+def plain_robot() -> list[Endpoint]:
     return [to_device("cmd_vel"), from_device("odom", ODOMETRY)]
 
 
@@ -60,7 +53,7 @@ class Clocked:
         self.directory = Directory(addresses or {})
         self.now_s = 0.0
 
-    def claim(self, link: int, address: str, topics: list[TopicClaim], *, port: int = 0) -> Accepted | Undecided:
+    def claim(self, link: int, address: str, topics: list[Endpoint], *, port: int = 0) -> Accepted | Undecided:
         return self.directory.claim(link, address, topics, now_s=self.now_s, peer=f"{address}:{port}")
 
     def leave(self, link: int) -> None:
@@ -74,14 +67,14 @@ class Clocked:
                 self.directory.presence(link).note_read(self.now_s)
 
 
-def accepted(ours: Clocked, link: int, address: str, topics: list[TopicClaim]) -> tuple[str | None, int | None]:
+def accepted(ours: Clocked, link: int, address: str, topics: list[Endpoint]) -> tuple[str | None, int | None]:
     ours.now_s += 100.0
     claim = ours.claim(link, address, topics)
     assert isinstance(claim, Accepted)
     return None if claim.robot is None else claim.robot.name, claim.replaces
 
 
-def beside(ours: Clocked, link: int, address: str, topics: list[TopicClaim], *others: int, port: int = 0) -> str:
+def beside(ours: Clocked, link: int, address: str, topics: list[Endpoint], *others: int, port: int = 0) -> str:
     """Name of a robot that connects while the others still send."""
     ours.talk(*others)
     claim = ours.claim(link, address, topics, port=port)
@@ -102,15 +95,16 @@ def directory(addresses: Mapping[str, str | None] | None = None) -> Clocked:
 def test_the_robot_of_the_paper() -> None:
     assert find_robot(paper_robot()) == RobotTopicNames(
         name="robot_0",
-        velocity="/robot_0/velocity_commands",
+        commands=(TopicType("/robot_0/velocity_commands", TWIST),),
         odometry="/robot_0/odometry",
         odometry_type=POSE,
         reset="/robot_0/reset_odometry",
     )
 
 
-def test_a_robot_without_a_namespace_has_a_name_too() -> None:
-    assert find_robot(plain_robot()) == RobotTopicNames("robot", "cmd_vel", "odom", ODOMETRY, None)
+def test_robot_without_a_namespace_is_named_by_the_directory() -> None:
+    assert find_robot(plain_robot()) == RobotTopicNames("", (TopicType("cmd_vel", TWIST),), "odom", ODOMETRY)
+    assert accepted(directory(), 1, HOME, plain_robot()) == ("robot_0", None)
 
 
 @pytest.mark.parametrize(
@@ -118,14 +112,13 @@ def test_a_robot_without_a_namespace_has_a_name_too() -> None:
     [
         [],
         SENSOR,
-        [to_device("/a/cmd_vel")],
         [from_device("/a/odometry")],
         [from_device("/a/plot_data", TWIST), from_device("/a/odometry")],  # a Twist from the device does not drive it
-        [to_device("/a/cmd_vel"), to_device("/a/goal", POSE)],  # a pose that it takes is not where it is
-        [to_device("/a/cmd_vel", "geometry_msgs/TwistStamped"), from_device("/a/odometry")],
+        [to_device("/a/limits")],
+        [to_device("/cmd_vel", "std_msgs/String"), from_device("/a/odometry")],
     ],
 )
-def test_device_without_velocity_or_pose_is_not_a_robot(topics: list[TopicClaim]) -> None:
+def test_device_that_takes_no_velocity_is_not_a_robot(topics: list[Endpoint]) -> None:
     assert find_robot(topics) is None
 
 
@@ -134,21 +127,21 @@ def test_device_without_velocity_or_pose_is_not_a_robot(topics: list[TopicClaim]
     [
         ("/r/cmd_vel", "/r/odom", "r"),
         ("r/cmd_vel", "/r/odom", "r"),
-        ("~cmd_vel", "~odom", "robot"),
+        ("~cmd_vel", "~odom", ""),
         ("~/r/cmd_vel", "~r/odom", "r"),
         ("/fleet/r/cmd_vel", "/fleet/r/odom", "fleet_r"),
         ("/r/base/cmd_vel", "/r/odom", "r"),
         ("/r/drive/cmd_vel", "/r/state/odom", "r"),
-        ("/cmd_vel", "/r/odom", "r"),
+        ("/cmd_vel", "/r/odom", ""),
         ("/r/cmd_vel", "/odom", "r"),
         ("/left/cmd_vel", "/right/odom", "left"),
-        ("/", "", "robot"),
+        ("/", "", ""),
         ("//r//cmd_vel", "/r/odom", "r"),
         ("/r\x1b[2J é/cmd_vel", "/r\x1b[2J é/odom", "r__2J__"),
         (f"/{'r' * 80}/cmd_vel", "/odom", "r" * 64),
     ],
 )
-def test_the_name_is_the_common_namespace(velocity: str, odometry: str, name: str) -> None:
+def test_name_is_the_namespace_of_the_velocity(velocity: str, odometry: str, name: str) -> None:
     robot = find_robot([to_device(velocity), from_device(odometry)])
     assert (robot.name, robot.velocity, robot.odometry) == (name, velocity, odometry)
 
@@ -189,7 +182,7 @@ def test_likeliest_pair_of_topics_is_chosen_in_any_order(
         ([to_device("/reset_bot/reset_b", EMPTY), to_device("/reset_bot/reset_a", EMPTY)], "/reset_bot/reset_a"),
     ],
 )
-def test_the_reset_topic(topics: list[TopicClaim], reset: str | None) -> None:
+def test_the_reset_topic(topics: list[Endpoint], reset: str | None) -> None:
     robot = find_robot([to_device("/reset_bot/cmd_vel"), from_device("/reset_bot/odom"), *topics])
     assert robot.reset == reset
 
@@ -332,7 +325,7 @@ def test_a_sensor_beside_one_of_the_same_topics_is_another() -> None:
 def test_robots_at_other_addresses_have_numbers_in_the_order_in_which_they_came() -> None:
     ours = directory()
     names = [beside(ours, link, f"192.168.4.{link}", plain_robot(), *range(1, link)) for link in range(1, 5)]
-    assert names == ["robot", "robot_2", "robot_3", "robot_4"]
+    assert names == ["robot_0", "robot_1", "robot_2", "robot_3"]
 
 
 def test_a_number_passes_over_names_that_others_have() -> None:
@@ -440,12 +433,12 @@ def test_ten_thousand_topics_are_read_once_each() -> None:
     assert robot.name == "n0"
 
 
-@given(st.lists(st.tuples(names, st.sampled_from([TWIST, POSE, ODOMETRY]), st.booleans()), max_size=12))
-def test_the_pair_is_the_best_of_all_pairs(topics: list[TopicClaim]) -> None:
+@given(st.lists(st.builds(Endpoint, names, st.sampled_from([TWIST, POSE, ODOMETRY]), st.booleans()), max_size=12))
+def test_the_pair_is_the_best_of_all_pairs(topics: list[Endpoint]) -> None:
     velocities = [name for name, type_name, is_to_device in topics if is_to_device and type_name == TWIST]
     odometries = [name for name, type_name, is_to_device in topics if not is_to_device and type_name != TWIST]
     robot = find_robot(topics)
-    if robot is None:
+    if robot is None or not odometries:
         assert not velocities or not odometries
     else:
         best = min(itertools.product(velocities, odometries), key=lambda pair: unlikelihood(*pair))
@@ -468,14 +461,14 @@ def test_the_configuration_names_a_robot_by_its_address() -> None:
     assert accepted(ours, 1, HOME, plain_robot()) == ("left", None)
     assert accepted(ours, 2, AWAY, plain_robot()) == ("right", None)
     assert accepted(ours, 3, HOME, plain_robot()) == ("left", 1)
-    assert accepted(ours, 4, "192.168.4.9", plain_robot()) == ("robot", None)
+    assert accepted(ours, 4, "192.168.4.9", plain_robot()) == ("robot_0", None)
 
 
 def test_the_configuration_names_a_robot_by_its_address_and_port() -> None:
     ours = directory({"left": f"{HOME}:5001", "right": f"{HOME}:5002"})
     assert beside(ours, 1, HOME, plain_robot(), port=5002) == "right"
     assert beside(ours, 2, HOME, plain_robot(), 1, port=5001) == "left"
-    assert beside(ours, 3, HOME, plain_robot(), 1, 2, port=5003) == "robot"
+    assert beside(ours, 3, HOME, plain_robot(), 1, 2, port=5003) == "robot_0"
 
 
 def test_a_configured_serial_port_is_an_address() -> None:
@@ -534,18 +527,18 @@ def test_a_robots_own_topics_are_its_velocity_and_what_is_in_its_namespace(
 ) -> None:
     velocity, odometry, reset = names
     types = {velocity: TWIST_TYPE, odometry: "geometry_msgs/Pose2D", reset: "std_msgs/Empty"}
-    robot = RobotTopicNames("a", velocity, odometry, "geometry_msgs/Pose2D", reset)
+    robot = RobotTopicNames("a", (TopicType(velocity, TWIST),), odometry, "geometry_msgs/Pose2D", reset)
     assert robot.own == {name: types[name] for name in own}
 
 
 def test_a_name_that_is_both_is_a_velocity() -> None:
-    assert RobotTopicNames("x", "/x", "/x", "geometry_msgs/Pose2D", None).own == {"/x": TWIST_TYPE}
+    assert RobotTopicNames("x", (TopicType("/x", TWIST),), "/x", "geometry_msgs/Pose2D").own == {"/x": TWIST_TYPE}
 
 
 # -- recordings that are played ---------------------------------------------------------------------------------------
 
 
-def played(name: str = "robot_0") -> list[TopicClaim]:
+def played(name: str = "robot_0") -> list[Endpoint]:
     return [*paper_robot(name), from_device(f"/{name}/played", "std_msgs/String")]
 
 

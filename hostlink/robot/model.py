@@ -1,0 +1,351 @@
+"""Model of robots: from the endpoints of devices and the settings, which robots there are and what each can do. Pure.
+
+A robot is what takes a velocity; everything else is an ability that it has or lacks. The model knows nothing of a
+device's protocol.
+
+| endpoint to the device                                       | what it is                                            |
+|--------------------------------------------------------------|-------------------------------------------------------|
+| what a robot's settings name as its command                  | the command of that robot                             |
+| Twist, TwistStamped with a name that tells of motion;        | a command by itself                                   |
+| AckermannDrive, AckermannDriveStamped                        |                                                       |
+| a number, a text or a Twist whose name tells of motion       | unguarded: a finding says which setting makes a robot |
+| JointState, Joy, servos                                      | actuators                                             |
+| everything else                                              | data                                                  |
+"""
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+from hostlink.robot.command_types import (
+    ACKERMANN_TYPES,
+    ARRAY_TYPES,
+    JOINT_STATE_TYPE,
+    JOY_TYPE,
+    NUMBER_TYPES,
+    STRING_TYPE,
+    TopicType,
+)
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
+
+LONGEST_NAME: Final = 64  # characters of a robot's name; names are used in logs, paths and labels
+RESET_TYPE: Final = "std_msgs/Empty"
+ODOMETRY_TYPES: Final = (
+    "geometry_msgs/Pose2D",
+    "nav_msgs/Odometry",
+    "geometry_msgs/PoseStamped",
+    "geometry_msgs/PoseWithCovarianceStamped",
+)  # a board that publishes one of them knows its pose; the likelier first
+_DEFAULT_NAME: Final = "robot"
+_USUAL_NAMES: Final = ("velocity_commands", "cmd_vel")  # the likelier first
+_TWISTS: Final = (TWIST_TYPE, TWIST_STAMPED_TYPE)
+_NO_MOTION: Final = frozenset({"std_msgs/Bool", "std_msgs/Empty", "std_msgs/ColorRGBA", "std_msgs/Time"})
+_MOTION: Final = re.compile(r"vel|drive|twist|cmd|motion|move", re.IGNORECASE)
+_SUSPECT: Final = re.compile(
+    r"vel(ocity)?$|^cmd|cmd$|command|control|motor|wheel|speed|pwm|steer|throttle|thrust|traction|move|drive",
+    re.IGNORECASE,
+)
+_SERVO: Final = re.compile(r"servo|arm|joint|gripper|angle|position|actuat|stepper|lift|wing", re.IGNORECASE)
+# Words of a topic's name that tell what it is, but not whose.
+_COMMON: Final = frozenset({
+    "ackermann", "base", "cb", "cmd", "cmdvel", "command", "commands", "control", "controller", "ctrl", "drive", "from",
+    "in", "input", "motion", "motor", "motors", "move", "movement", "msg", "mux", "nav", "out", "output", "raw", "ref",
+    "robot", "safe", "scaled", "set", "setpoint", "smooth", "smoothed", "speed", "stamped", "sub", "target", "teleop",
+    "the", "to", "topic", "twist", "unstamped", "vel", "velocities", "velocity", "wheel", "wheels",
+})  # fmt: skip
+_SHORTEST_WORD: Final = 3
+_MAX_WHEELS: Final = 8  # in a suggestion
+
+
+class Endpoint(NamedTuple):
+    """Topic of a device as the device announces it."""
+
+    name: str
+    type_name: str
+    is_to_device: bool
+
+
+class CommandKind(StrEnum):
+    """Ways to command a robot."""
+
+    TWIST = "twist"
+    ACKERMANN = "ackermann"
+    WHEELS = "wheels"
+    JOY = "joy"
+    WORDS = "words"
+
+
+class CommandSettings(NamedTuple):
+    """What the settings say of one robot's command. Topics are as the device names them."""
+
+    kind: CommandKind | None = None  # None: it is recognised
+    topics: tuple[str, ...] = ()  # that command it; empty: they are recognised
+    odometry: str | None = None  # the topic of its pose; "": it has none; None: it is recognised
+    ignored: frozenset[str] = frozenset()  # topics that command no motion, whatever their name and type
+    is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
+
+
+NO_SETTINGS: Final = CommandSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class RobotTopicNames:
+    """A robot and the topics by which it is driven and read, by one set of names.
+
+    `commands`: its topics to the device, at least one. `odometry` and `odometry_type` are None for a robot that
+    publishes no pose.
+    """
+
+    name: str
+    commands: tuple[TopicType, ...]
+    odometry: str | None = None
+    odometry_type: str | None = None
+    reset: str | None = None
+    kind: CommandKind = CommandKind.TWIST
+
+    @property
+    def velocity(self) -> str:
+        """Name of its first command topic."""
+        return self.commands[0].name
+
+    @property
+    def velocity_type(self) -> str:
+        """Type of its first command topic."""
+        return self.commands[0].type_name
+
+    @property
+    def namespace(self) -> tuple[str, ...]:
+        """Common namespace of velocity and odometry; otherwise that of the velocity, or of the odometry."""
+        velocity, odometry = namespace_of(self.velocity), namespace_of(self.odometry or "")
+        return _common(velocity, odometry) or velocity or odometry
+
+    @property
+    def own(self) -> dict[str, str]:
+        """The topics that no other device may use with another type, and their types.
+
+        Its commands, wherever they are. The others in its namespace.
+        """
+        others = {}
+        if self.odometry is not None and self.odometry_type is not None:
+            others[self.odometry] = self.odometry_type
+        if self.reset is not None:
+            others[self.reset] = RESET_TYPE
+        here = self.namespace
+        own = {name: type_name for name, type_name in others.items() if namespace_of(name)[: len(here)] == here}
+        return own | dict(self.commands)
+
+
+def find_robot(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETTINGS) -> RobotTopicNames | None:
+    """Return the robot that a device is; None if it takes no velocity.
+
+    Its name is that of the command's namespace, else the word in the command's own name; empty if neither tells.
+    """
+    commands, kind = _commands(endpoints, settings)
+    if not commands or settings.is_spatial:
+        return None
+    velocity = commands[0].name
+    odometry = _odometry(endpoints, velocity, settings)
+    here = {namespace_of(velocity)} | ({namespace_of(odometry.name)} if odometry is not None else set())
+    resets = [
+        each.name
+        for each in endpoints
+        if each.is_to_device
+        and each.type_name == RESET_TYPE
+        and "reset" in leaf_of(each.name)
+        and namespace_of(each.name) in here
+    ]
+    reset = min(resets, key=lambda topic: ("odom" not in leaf_of(topic), topic), default=None)
+    return RobotTopicNames(
+        name_of(velocity, "" if odometry is None else odometry.name),
+        commands,
+        None if odometry is None else odometry.name,
+        None if odometry is None else odometry.type_name,
+        reset,
+        kind,
+    )
+
+
+def is_velocity(endpoint: Endpoint, ignored: frozenset[str] = frozenset()) -> bool:
+    """Whether a topic drives its device, by type and name."""
+    if not endpoint.is_to_device or endpoint.name in ignored:
+        return False
+    return endpoint.type_name in ACKERMANN_TYPES or (
+        endpoint.type_name in _TWISTS and _MOTION.search(endpoint.name) is not None
+    )
+
+
+def unguarded(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETTINGS) -> list[Endpoint]:
+    """Return the endpoints that look like commands of a motion, and that nothing guards."""
+    commands = {topic.name for topic in _commands(endpoints, settings)[0]}
+    return [
+        each
+        for each in endpoints
+        if each.is_to_device
+        and each.name not in commands
+        and each.name not in settings.ignored
+        and not is_velocity(each)
+        and (each.type_name in {*_TWISTS, JOY_TYPE} or _looks_like_motion(each))
+    ]
+
+
+def actuators(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETTINGS) -> list[Endpoint]:
+    """Return the endpoints that set positions: servos, joints, a joystick that a board reads."""
+    commands = {topic.name for topic in _commands(endpoints, settings)[0]}
+    return [
+        each
+        for each in endpoints
+        if each.is_to_device
+        and each.name not in commands
+        and (each.type_name == JOINT_STATE_TYPE or (_is_motor(each) and _SERVO.search(each.name) is not None))
+    ]
+
+
+def name_of(command: str, odometry: str = "") -> str:
+    """Return the name of the robot that a topic commands: its namespace, else a word in its name; else empty.
+
+    Of the namespace counts what its odometry has in common with it, if that is anything.
+    """
+    namespace = namespace_of(command)
+    name = "_".join(_common(namespace, namespace_of(odometry)) or namespace)
+    if not name:
+        words = [word for word in re.split(r"[^A-Za-z0-9]+", leaf_of(command)) if word.lower() not in _COMMON]
+        name = "_".join(words) if any(map(_is_telling, words)) else ""
+    return re.sub(r"\W", "_", name, flags=re.ASCII)[:LONGEST_NAME]
+
+
+def _is_telling(word: str) -> bool:
+    return len(word) >= _SHORTEST_WORD and word.isalpha() and (word.islower() or word[0].isupper())
+
+
+def suggestion(suspects: Sequence[Endpoint], name: str, address: str) -> str:
+    """Return lines of hostlink.toml that make a robot of a device with these unguarded endpoints.
+
+    `name` and `address` are the robot's. A type that hostlink cannot encode is refused by a lock at least.
+    """
+    address_line = f'[robots.{name}]\naddress = "{address}"\n'
+    by_type: dict[str, list[str]] = {}
+    for each in suspects:
+        by_type.setdefault(each.type_name, []).append(each.name)
+    for type_name, names in by_type.items():
+        first = names[0]
+        if type_name in _TWISTS:
+            return f'{address_line}command_topic = "{first}"'
+        if type_name in NUMBER_TYPES or type_name in ARRAY_TYPES:
+            topics = ", ".join(f'"{each}"' for each in names[:_MAX_WHEELS])
+            return f'{address_line}[robots.{name}.wheels]\ntopics = [{topics}]\nunit = "pwm"'
+        if type_name == JOY_TYPE:
+            return f'{address_line}[robots.{name}.joy]\ntopic = "{first}"\nx_axis = 1\nyaw_axis = 0'
+        if type_name == STRING_TYPE:
+            words = 'forward = "F"\nbackward = "B"\nleft = "L"\nright = "R"\nstop = "S"'
+            return f'{address_line}[robots.{name}.words]\ntopic = "{first}"\n{words}'
+    topics = ", ".join(f'"{each.name}"' for each in suspects)
+    return f"{address_line}locked_topics = [{topics}]"
+
+
+# -- recognition ------------------------------------------------------------------------------------------------------
+
+
+def _commands(endpoints: Sequence[Endpoint], settings: CommandSettings) -> tuple[tuple[TopicType, ...], CommandKind]:
+    """Return the command topics of a device, and their kind. Empty: it takes no velocity."""
+    to_device = {each.name: each for each in endpoints if each.is_to_device}
+    if settings.topics:
+        found = tuple(TopicType(name, to_device[name].type_name) for name in settings.topics if name in to_device)
+        if len(found) < len(settings.topics):
+            return (), CommandKind.TWIST
+        kind = settings.kind
+        if kind is None:
+            kind = CommandKind.ACKERMANN if found[0].type_name in ACKERMANN_TYPES else CommandKind.TWIST
+        return found, kind
+    likely = [each for each in to_device.values() if is_velocity(each, settings.ignored)]
+    poses = [each for each in endpoints if _is_pose(each)]
+    if not likely and poses:  # what has a pose and takes a Twist is a robot, whatever the Twist's name
+        twists = (each for each in to_device.values() if each.type_name in _TWISTS)
+        likely = [each for each in twists if each.name not in settings.ignored]
+    if not likely:
+        return (), CommandKind.TWIST
+    usual = min(map(_rank, likely))
+    named: dict[tuple[str, ...], bool] = {}  # namespaces with a pose, and whether its name tells of odometry
+    for pose in poses:
+        namespace = namespace_of(pose.name)
+        named[namespace] = named.get(namespace, False) or "odom" in leaf_of(pose.name)
+    first = min(
+        (each for each in likely if _rank(each) == usual),
+        key=lambda each: (
+            namespace_of(each.name) not in named,
+            not named.get(namespace_of(each.name), False),
+            each.name,
+        ),
+    )
+    kind = CommandKind.ACKERMANN if first.type_name in ACKERMANN_TYPES else CommandKind.TWIST
+    return (TopicType(first.name, first.type_name),), kind
+
+
+def _rank(command: Endpoint) -> tuple[int, int]:
+    leaf = leaf_of(command.name)
+    usual = _USUAL_NAMES.index(leaf) if leaf in _USUAL_NAMES else len(_USUAL_NAMES)
+    return usual, (*_TWISTS, *ACKERMANN_TYPES).index(command.type_name)
+
+
+def _odometry(endpoints: Sequence[Endpoint], velocity: str, settings: CommandSettings) -> Endpoint | None:
+    """Return the pose that a person would choose: in the command's namespace, of a usual name and type."""
+    poses = [each for each in endpoints if _is_pose(each)]
+    if settings.odometry is not None:
+        return next((each for each in poses if each.name == settings.odometry), None)
+    here = namespace_of(velocity)
+    return min(
+        poses,
+        key=lambda each: (
+            namespace_of(each.name) != here,
+            "odom" not in leaf_of(each.name),
+            ODOMETRY_TYPES.index(each.type_name) > 1,
+            each.name,
+            each.type_name,
+        ),
+        default=None,
+    )
+
+
+def _is_pose(endpoint: Endpoint) -> bool:
+    return not endpoint.is_to_device and endpoint.type_name in ODOMETRY_TYPES
+
+
+def _is_motor(endpoint: Endpoint) -> bool:
+    """Whether the type may carry how far or how fast something moves."""
+    return endpoint.type_name not in _NO_MOTION
+
+
+def _looks_like_motion(endpoint: Endpoint) -> bool:
+    is_position = endpoint.type_name == JOINT_STATE_TYPE or _SERVO.search(endpoint.name) is not None
+    return _is_motor(endpoint) and not is_position and any(map(_SUSPECT.search, _parts(endpoint.name)))
+
+
+def select(settings: Mapping[str, CommandSettings], endpoints: Sequence[Endpoint]) -> str | None:
+    """Return the robot whose settings name command topics that the device has, all of them; None if there is none."""
+    names = {each.name for each in endpoints if each.is_to_device}
+    return next((name for name, each in settings.items() if each.topics and names.issuperset(each.topics)), None)
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+
+
+def _parts(topic: str) -> list[str]:
+    return [part for part in topic.lstrip("~").split("/") if part]
+
+
+def leaf_of(topic: str) -> str:
+    """Return the last part of a topic's name."""
+    return _parts(topic)[-1] if _parts(topic) else ""
+
+
+def namespace_of(topic: str) -> tuple[str, ...]:
+    """Return the parts of a topic's name before the last one."""
+    return tuple(_parts(topic)[:-1])
+
+
+def _common(velocity: tuple[str, ...], odometry: tuple[str, ...]) -> tuple[str, ...]:
+    """Common part of two namespaces."""
+    pairs = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(velocity, odometry, strict=False))
+    return tuple(here for here, _ in pairs)
