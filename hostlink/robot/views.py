@@ -36,7 +36,8 @@ class RobotView(TypedDict):
     """One robot: its topics, its driver, its velocity, its odometry, its device.
 
     holder_address: address of the driver's connection; null: no driver, a part of a daemon, or at another daemon.
-    played: the device is a recording that is played, which obeys no command. unreachable: why the device could not
+    command_type: type of velocity_topic. odometry_topic: null: the device publishes no pose, so that nobody can say
+    whether it is stopped. played: the device is a recording that is played, which obeys no command. unreachable: why the device could not
     receive the last velocity; null: it could. host: the daemon that has its link; null: this one. also_at: other
     daemons with a robot of this name. wheel_separation_m, kinematics: as configured. frames: number that the device has
     sent on this link, so that a reader notices silence; null: not connected, or at another daemon. epoch: number of
@@ -53,7 +54,8 @@ class RobotView(TypedDict):
     link: int | None
     frames: int | None
     velocity_topic: str
-    odometry_topic: str
+    command_type: str
+    odometry_topic: str | None
     played: bool
     holder: str | None
     holder_address: str | None

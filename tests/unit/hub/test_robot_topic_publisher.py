@@ -179,7 +179,11 @@ async def test_robots_that_come_and_go_beside_one_that_claims_all_their_names_ca
 @inside(play_crowd)
 async def test_the_gate_of_another_devices_velocity_publishes_nothing_on_a_robots_odometry(made: Crowd) -> None:
     name = f"/{NAME}/vel_odom"
-    other = await made.connect([topic(Id.SUBSCRIBER, VELOCITY_ID, name, TWIST_TYPE)], "10.0.0.4")
+    velocities = [
+        topic(Id.SUBSCRIBER, VELOCITY_ID, "/other/cmd_vel", TWIST_TYPE),
+        topic(Id.SUBSCRIBER, OTHER_ID, name, TWIST_TYPE),
+    ]
+    other = await made.connect(velocities, "10.0.0.4")
     own = [
         topic(Id.PUBLISHER, ODOMETRY_ID, name, "geometry_msgs/Pose2D"),
         topic(Id.SUBSCRIBER, VELOCITY_ID, VELOCITY, TWIST_TYPE),
@@ -188,12 +192,12 @@ async def test_the_gate_of_another_devices_velocity_publishes_nothing_on_a_robot
     subscribe(made.hub, name, lambda message: heard.append(message.payload))
     device = await made.connect(own, "10.0.0.3")
     heard.clear()
-    before = len(other.payloads(VELOCITY_ID))
+    before = len(other.payloads(OTHER_ID))
     made.hub.robots.stop_all()
     await device.send(ODOMETRY_ID, POSE.pack(4.0, 0.0, 0.0))
     await asyncio.sleep(0.5)
     assert heard == [POSE.pack(4.0, 0.0, 0.0)]
-    assert set(other.payloads(VELOCITY_ID)[before:]) == {bytes(48)}  # it hears its stop
+    assert set(other.payloads(OTHER_ID)[before:]) == {bytes(48)}  # it hears its stop
 
 
 @inside(play_crowd)

@@ -84,8 +84,9 @@ async def test_an_older_velocity_does_not_overtake_the_one_that_it_caused(made: 
     devices = []
     for name, address in (("a", "10.0.0.3"), ("b", "10.0.0.4")):
         odometry = topic(Id.PUBLISHER, ODOMETRY_ID, f"/{name}/odometry", "geometry_msgs/Pose2D")
+        own = topic(Id.SUBSCRIBER, VELOCITY_ID + 1, f"/{name}/velocity_commands", "geometry_msgs/Twist")
         shared = topic(Id.SUBSCRIBER, VELOCITY_ID, "/cmd_vel", "geometry_msgs/Twist")
-        devices.append(ScriptedDevice(made.hub, [odometry, shared], address=address))
+        devices.append(ScriptedDevice(made.hub, [odometry, own, shared], address=address))
         await asyncio.sleep(0.5)
     careful, sender = made.hub.join("careful"), made.hub.join("sender")
 

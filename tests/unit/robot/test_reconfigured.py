@@ -4,15 +4,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.robot.names import Accepted, Directory, Places, TopicClaim
+from hostlink.robot.model import Endpoint
+from hostlink.robot.names import Accepted, Directory, Places
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import Limits
 from tests.support.gates import GateOfRobot
 
 PLACES = tuple(f"10.0.0.{number}" for number in range(1, 6))
-TOPICS: list[TopicClaim] = [
-    ("/robot_0/cmd_vel", "geometry_msgs/Twist", True),
-    ("/robot_0/odometry", "geometry_msgs/Pose2D", False),
+TOPICS: list[Endpoint] = [
+    Endpoint("/robot_0/cmd_vel", "geometry_msgs/Twist", is_to_device=True),
+    Endpoint("/robot_0/odometry", "geometry_msgs/Pose2D", is_to_device=False),
 ]
 configurations = st.dictionaries(
     st.sampled_from(["left", "right", "rover", "robot_0", "robot_0_2"]), st.sampled_from(PLACES)

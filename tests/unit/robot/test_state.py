@@ -20,6 +20,7 @@ EVERYTHING = RobotState(
     link=3,
     frames=7,
     velocity_topic="/robot_0/cmd_vel",
+    command_type="geometry_msgs/TwistStamped",
     odometry_topic="/robot_0/odom",
     odometry_type="geometry_msgs/Pose2D",
     reset_topic="/robot_0/reset",

@@ -29,7 +29,8 @@ export interface RobotView {
   link: number | null;
   frames?: number | null; // number of frames that its device has sent on this link
   velocity_topic: string;
-  odometry_topic: string;
+  command_type?: string; // type of velocity_topic
+  odometry_topic: string | null; // null: its device publishes no pose
   played?: boolean; // its device is a recording, which cannot be driven
   holder: string | null;
   holder_address?: string | null;
