@@ -118,7 +118,7 @@ class Device:
         self.diagnosis = diagnosis
         self.robot: LocalRobot | None = None  # set by Robots
         self.drivables: list[Drivable] = []  # set by Gates
-        self.guarded_ids: list[int] = []  # ids of the velocity topics that the guardian stops; set by Gates
+        self.guarded_ids: list[int] = []  # ids of the velocity topics for the guardian; set by Gates
         self.lost: dict[str, TopicInfo] = {}  # velocity endpoints that an announcement gave up; set by Gates
         self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()

@@ -37,7 +37,7 @@ from hostlink.link.serving import LinkEnd
 from hostlink.log_budget import Budget
 from hostlink.loop_time import loop_time_s
 from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.frame import STOP_REQUEST, Id, encode
 from hostlink.robot.admission import LEASE_S, Admission, Command, named
 from hostlink.robot.velocity import (
     TWIST_STAMPED_TYPE,
@@ -60,11 +60,19 @@ class Guard(Protocol):
     """Interface of the guardian. Its methods do not wait and raise nothing."""
 
     def watch(
-        self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
+        self,
+        number: int,
+        connection: Callable[[], int | None],
+        *,
+        zeros: Sequence[bytes],
+        end: bytes,
+        claim_bytes: int,
     ) -> None:
-        """Guard a link with these velocity topics.
+        """Guard a link with these frames, or replace them.
 
-        `connection` returns its descriptor while it is open. `claim_bytes` is the length of the longest sent frame.
+        `connection` returns its descriptor while it is open. `zeros` are the frames that stop the device, one for each
+        velocity endpoint; frames beyond 4 KiB are dropped with a warning. `end` requests it to stop sending when this
+        process is gone, and may be empty. `claim_bytes` is the length of the longest sent frame.
         """
         ...
 
@@ -644,12 +652,21 @@ class Gates:
             return lost if lost is not None and connection.link.session.may_have(lost) else None
 
     def _guard(self, drivable: Drivable, connection: "Device") -> None:
-        """Give link and guardian the frame that stops the device when this process cannot."""
+        """Give link and guardian the frames that stop the device when this process cannot."""
         link, guarded_ids, info = connection.link, connection.guarded_ids, drivable.endpoint
         if info is None:
             return
         link.last_frame += encode(info.topic_id, ZERO.encode())
-        if self._guardian is not None and len(guarded_ids) < MAX_GUARDED:
-            guarded_ids.append(info.topic_id)
-            longest_bytes = link.session.longest_to_device_bytes
-            self._guardian.watch(link.number, link.descriptor, topic_ids=guarded_ids, claim_bytes=longest_bytes)
+        if self._guardian is None:
+            return
+        guarded_ids.append(info.topic_id)
+        if len(guarded_ids) <= MAX_GUARDED:
+            self._guardian.watch(
+                link.number,
+                link.descriptor,
+                zeros=[encode(topic_id, ZERO.encode()) for topic_id in guarded_ids],
+                end=STOP_REQUEST,
+                claim_bytes=link.session.longest_to_device_bytes,
+            )
+        elif len(guarded_ids) == MAX_GUARDED + 1:
+            log.warning("guardian.frames_dropped", link=link.number, guarded=MAX_GUARDED)
