@@ -20,7 +20,8 @@ A ROS 1 graph    ros1.started, ros1.ended, ros1.master_found, ros1.master_lost, 
                  ros1.name_refused, ros1.publisher_failed, ros1.publication_failed, ros1.message_refused,
                  ros1.message_malformed, ros1.topic_unknown, ros1.service_unknown, ros1.service_unusable,
                  ros1.parameter_unusable, ros1.clock_unusable, ros1.caller_too_slow
-Its guardian     guardian.started, guardian.ended, guardian.start_failed, guardian.incomplete, guardian.stopped_robots
+Its guardian     guardian.started, guardian.ended, guardian.start_failed, guardian.incomplete,
+                 guardian.frames_dropped, guardian.stopped_robots
 Zenoh            zenoh.opened, zenoh.closed, zenoh.failed, fleet.daemon_appeared, fleet.daemon_gone,
                  fleet.duplicate_name_found, fleet.name_differs, fleet.unanswered, fleet.topic_refused,
                  fleet.hearing_changed, fleet.duplicate_host_found, graph.crashed

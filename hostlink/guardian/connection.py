@@ -7,7 +7,7 @@ import select
 import sys
 import termios
 
-from hostlink.guardian.frames import StopWriter
+from hostlink.guardian.frames import UNLIMITED, StopWriter
 
 STALE_BYTES = 128  # one turn of a robot's loop at 38400 baud: the most that the daemon's pacing leaves in a serial port
 READ_BYTES = 65536
@@ -23,19 +23,20 @@ class GuardedConnection:
     | call              | while the daemon        | writes                      | reads       | closes     |
     |-------------------|-------------------------|-----------------------------|-------------|------------|
     | `hold`, repeated  | hangs, and may recover  | zeros                       | nothing     | never      |
-    | `step`, repeated  | is gone                 | zeros, then id 11           | everything  | at the end |
+    | `step`, repeated  | is gone                 | zeros, then the end         | everything  | at the end |
     """
 
-    def __init__(self, descriptor: int, topic_ids: tuple[int, ...], claim_bytes: int) -> None:
+    def __init__(self, descriptor: int, zeros: tuple[bytes, ...], end: bytes, claim_bytes: int) -> None:
         self.descriptor = descriptor
         self.is_open = True
         self._is_serial = os.isatty(descriptor)
         self._is_udp = not self._is_serial and _is_udp(descriptor)
         if self._is_udp and claim_bytes <= DATAGRAM_BYTES:
             claim_bytes = 0  # such a frame was sent as one datagram, whole or not at all
-        self._topic_ids, self._claim_bytes = topic_ids, claim_bytes
-        self._writer = StopWriter(topic_ids, claim_bytes)
-        self._zeros = self._writer  # used by `hold`
+        self._zeros, self._claim_bytes = zeros, claim_bytes
+        self._part_bytes = DATAGRAM_BYTES if self._is_udp else UNLIMITED
+        self._writer = StopWriter(zeros, claim_bytes, end, part_bytes=self._part_bytes)
+        self._holding = self._writer  # used by `hold`
         self._is_readable = True  # until the end of the stream was read
         self._is_begun = self._is_finished = False
 
@@ -50,7 +51,7 @@ class GuardedConnection:
 
     def begin_hold(self) -> None:
         """Start the zeros for a daemon that hangs."""
-        self._zeros = StopWriter(self._topic_ids, self._claim_bytes, is_end=False)
+        self._holding = StopWriter(self._zeros, self._claim_bytes, part_bytes=self._part_bytes)
 
     def hold(self, now_s: float) -> float | None:
         """Write the zeros that are due `now_s` after `begin_hold`, as far as there is room. Return when to call again.
@@ -58,10 +59,10 @@ class GuardedConnection:
         None: nothing is left to write, or an error occurred, which is left to the daemon.
         """
         try:
-            self._write(self._zeros, now_s)
+            self._write(self._holding, now_s)
         except OSError:
             return None
-        return now_s if self._zeros.has_waiting else self._zeros.next_s()
+        return now_s if self._holding.has_waiting else self._holding.next_s()
 
     def events(self, now_s: float) -> int:
         """Events for which poll() should wait."""

@@ -1,67 +1,83 @@
-"""Frames that the guardian sends: zero velocity, and the request to stop sending. Pure, without imports.
+"""Times at which the frames that stop a robot are sent. Pure, without imports.
 
-No frame here moves a robot: only the topic ids of a velocity can be chosen.
+The daemon makes the frames. No byte of a frame is chosen here, except the 00 between two frames.
 """
 
-TWIST_BYTES = 48  # geometry_msgs/Twist: six float64
 ZEROS = 3  # as many as the daemon sends on shutdown: a radio may lose one
 INTERVAL_S = 0.05
-STOP_REQUEST = b"\xff\xfe\x00\x00\xff\x0b\x00\xf4"  # id 11
+SEPARATOR = b"\0"  # ignored between frames; without it, a frame that ends with FF would hide the next sync
+UNLIMITED = 1 << 32
 
 
-def zero_frame(topic_id: int) -> bytes:
-    """Encode a Twist of zeros for this topic."""
-    low, high = topic_id & 0xFF, topic_id >> 8
-    header = bytes((0xFF, 0xFE, TWIST_BYTES, 0, 0xFF - TWIST_BYTES, low, high))
-    return header + bytes(TWIST_BYTES) + bytes((0xFF - (low + high) % 256,))
-
-
-def stop_sequence(topic_ids: tuple[int, ...], claim_bytes: int, *, is_end: bool = True) -> list[tuple[float, bytes]]:
+def stop_sequence(
+    zeros: tuple[bytes, ...], claim_bytes: int, end: bytes = b"", *, part_bytes: int = UNLIMITED
+) -> list[tuple[float, bytes]]:
     """Return the parts to send, each with its time in seconds.
 
-    `claim_bytes` is the longest frame that may have been sent to the device. `is_end`: the daemon is gone. A daemon
-    that only hangs may recover, so its devices are not requested to stop sending.
+    `zeros` are the frames that stop the device, one for each velocity endpoint. `claim_bytes` is the longest frame that
+    may have been sent to the device. `end` requests it to stop sending. A daemon that only hangs may recover, so its
+    devices are not requested to. `part_bytes` is the limit of a part of several frames: a datagram.
 
     The daemon may have ended in the middle of a frame. The device takes the next bytes for the rest of that frame. The
-    first zero is therefore repeated over the length of any frame: wherever the frame ends or is given up, the next zero
-    is whole.
+    zeros are therefore repeated over the length of any frame: wherever the frame ends or is given up, the next zero of
+    each endpoint is whole.
 
     | the device                                              | obeys                                                  |
     |---------------------------------------------------------|--------------------------------------------------------|
-    | is between frames                                       | the first zero                                         |
-    | is inside a frame, and never gives it up                | the second zero after the frame's end                  |
-    | is inside a frame, and gives it up (20 ms, ros_lib)     | that zero, or the first after it gave up, within 50 ms |
+    | is between frames                                       | the first zeros                                        |
+    | is inside a frame, and never gives it up                | at the latest the second zeros after the frame's end   |
+    | is inside a frame, and gives it up (20 ms, ros_lib)     | those, or the first after it gave up, within 50 ms     |
     | lost bytes, because it or its radio was busy            | the zeros after 50 and 100 ms                          |
+
+    The second row needs zeros without the sync FF FE after their first byte. It would begin a frame for a device that
+    reads from the middle of a zero.
     """
-    zero = b"\0".join(map(zero_frame, topic_ids))  # of all topics; the rule below holds for each of them
-    # A 00 between frames is ignored; without it, a frame that ends with FF would hide the next sync.
-    again = b"\0" + zero
-    first = zero + again * (1 + -(-claim_bytes // len(again))) if claim_bytes else zero
-    parts = [first, *[zero] * (ZEROS - 1), *[STOP_REQUEST] * is_end]
-    return [(number * INTERVAL_S, part) for number, part in enumerate(parts)]
+    once = packed(zeros, part_bytes)
+    first = once
+    if claim_bytes:
+        zero = SEPARATOR.join(zeros)
+        again = SEPARATOR + zero
+        first = [zero + again * (1 + -(-claim_bytes // len(again)))]
+    turns = [first, *[once] * (ZEROS - 1), [end] if end else []]
+    return [(number * INTERVAL_S, part) for number, parts in enumerate(turns) for part in parts]
+
+
+def packed(frames: tuple[bytes, ...], part_bytes: int) -> list[bytes]:
+    """Join frames to as few parts as this limit allows, in their order. A longer frame is a part by itself."""
+    parts: list[bytes] = []
+    for frame in frames:
+        if parts and len(parts[-1]) + len(SEPARATOR) + len(frame) <= part_bytes:
+            parts[-1] += SEPARATOR + frame
+        else:
+            parts.append(frame)
+    return parts
 
 
 class StopWriter:
-    """Unsent part of one device's stop sequence."""
+    """Unsent part of one device's stop sequence. The arguments are those of `stop_sequence`."""
 
-    def __init__(self, topic_ids: tuple[int, ...], claim_bytes: int, *, is_end: bool = True) -> None:
-        self._topic_ids, self._claim_bytes, self._is_end = topic_ids, claim_bytes, is_end
+    def __init__(
+        self, zeros: tuple[bytes, ...], claim_bytes: int, end: bytes = b"", *, part_bytes: int = UNLIMITED
+    ) -> None:
+        self._zeros, self._claim_bytes, self._end, self._part_bytes = zeros, claim_bytes, end, part_bytes
         self._due: list[tuple[float, bytes]] = []
-        self._waiting = b""
+        self._waiting: list[bytes] = []  # parts that are due
         self._is_begun = False
 
     def pop_due(self, now_s: float) -> bytes:
-        """Return the unwritten bytes that are due `now_s` after the daemon's end."""
+        """Return the unwritten bytes of the oldest part that is due `now_s` after the daemon's end."""
         if not self._is_begun:  # built late, because a sequence may be long and there are many connections
             self._is_begun = True
-            self._due = stop_sequence(self._topic_ids, self._claim_bytes, is_end=self._is_end)
+            self._due = stop_sequence(self._zeros, self._claim_bytes, self._end, part_bytes=self._part_bytes)
         while self._due and self._due[0][0] <= now_s:
-            self._waiting += self._due.pop(0)[1]
-        return self._waiting
+            self._waiting.append(self._due.pop(0)[1])
+        return self._waiting[0] if self._waiting else b""
 
     def written(self, count: int) -> None:
-        """Note that the connection accepted `count` bytes."""
-        self._waiting = self._waiting[count:]
+        """Note that the connection accepted `count` bytes of that part."""
+        rest = self._waiting.pop(0)[count:]
+        if rest:
+            self._waiting.insert(0, rest)
 
     @property
     def has_waiting(self) -> bool:

@@ -16,7 +16,7 @@ from pathlib import Path
 import structlog
 
 from hostlink.detached import start_python
-from hostlink.guardian.records import ANSWER_BYTES, GOODBYE, PING, decode_answer, encode, encode_beat
+from hostlink.guardian.records import ANSWER_BYTES, GOODBYE, PING, decode_answer, encode, encode_beat, fitting
 from hostlink.guardian.roster import GuardedLinks, Watched
 
 log = structlog.get_logger()
@@ -87,6 +87,7 @@ class Guardian:
         self._pause_s = SHORTEST_PAUSE_S
         self._missing = ""  # reason of the last failed start
         self._is_incomplete = False
+        self._cut = set[int]()  # links whose frames do not all fit a record
         self._driven = set[int]()  # of the last beat
         self._beat_s = 0.0  # time of the last beat
         self._stopped = 0  # robots that the process has stopped because of missing beats
@@ -94,14 +95,28 @@ class Guardian:
     # -- what the daemon reports --------------------------------------------------------------------------------------
 
     def watch(
-        self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
+        self,
+        number: int,
+        connection: Callable[[], int | None],
+        *,
+        zeros: Sequence[bytes],
+        end: bytes,
+        claim_bytes: int,
     ) -> None:
-        """Guard a link with these velocity topics. `connection` returns its descriptor while it is open."""
-        self._roster.watch(number, Watched(connection, tuple(topic_ids), claim_bytes))
+        """Guard a link with these frames. `connection` returns its descriptor while it is open."""
+        fitted, fitted_end = fitting(tuple(zeros), end)
+        if len(fitted) < len(zeros) or fitted_end != end:
+            if number not in self._cut:
+                log.warning("guardian.frames_dropped", link=number, guarded=len(fitted))
+            self._cut.add(number)
+        else:
+            self._cut.discard(number)
+        self._roster.watch(number, Watched(connection, fitted, fitted_end, claim_bytes))
         self._send_next()
 
     def release(self, number: int) -> None:
         """Stop guarding a link that ended or is no longer a robot's."""
+        self._cut.discard(number)
         self._roster.release(number)
         self._send_next()
 

@@ -121,7 +121,7 @@ def listen(channel: _socket.socket, connections: dict[int, GuardedConnection]) -
             driven, held, beat_s = list(connections if numbers is None else numbers), [], time.monotonic()
             is_driven = bool(driven)
             continue
-        kind, number, topic_ids, claim_bytes = decode(record)
+        kind, number, zeros, end, claim_bytes = decode(record)
         if kind == GOODBYE:
             return None
         if kind == PING:
@@ -132,7 +132,7 @@ def listen(channel: _socket.socket, connections: dict[int, GuardedConnection]) -
             old.close()
         if kind != RELEASE and ancillary:  # without a descriptor: this process has none left, which the answers show
             descriptor = int.from_bytes(ancillary[0][2][:DESCRIPTOR_BYTES], sys.byteorder)
-            connections[number] = GuardedConnection(descriptor, topic_ids, claim_bytes)
+            connections[number] = GuardedConnection(descriptor, zeros, end, claim_bytes)
 
 
 def hold(connections: list[GuardedConnection], now_s: float) -> tuple[list[GuardedConnection], float | None]:

@@ -8,10 +8,10 @@ BEAT = b"B"  # the daemon runs; names the links whose robots may move
 PING = b"P"  # answered with the number of guarded connections
 GOODBYE = b"G"  # the daemon ends normally; nothing is to be sent
 
-MAX_TOPICS = 16  # of one device
+MAX_FRAMES_BYTES = 4096  # of a WATCH; sixteen stops of 100 bytes take half of it
 MAX_DRIVEN = 1024  # link numbers in a beat; a beat with more means all links
-_RECORD = struct.Struct(f"<cQI{MAX_TOPICS}H")  # a topic id of 0 is unused
-_NONE = (0,) * MAX_TOPICS
+_HEAD = struct.Struct("<cQIH")  # kind, link number, claim, number of frames; then their lengths, then the frames
+_LENGTH = struct.Struct("<H")
 _ANSWER = struct.Struct("<II")
 _NUMBER_BYTES = 8
 MAX_RECORD_BYTES = 1 + _NUMBER_BYTES * (MAX_DRIVEN + 1)
@@ -19,13 +19,32 @@ ANSWER_BYTES = _ANSWER.size
 DESCRIPTOR_BYTES = 4  # size of the int in SCM_RIGHTS
 
 
-def encode(kind: bytes, number: int = 0, topic_ids: tuple[int, ...] = (), claim_bytes: int = 0) -> bytes:
+def fitting(zeros: tuple[bytes, ...], end: bytes) -> tuple[tuple[bytes, ...], bytes]:
+    """Return the frames of a WATCH for which there is room: zeros in their order without those too long, then the end.
+
+    An end without room is empty.
+    """
+    fitted: list[bytes] = []
+    room_bytes = MAX_FRAMES_BYTES
+    for frame in (*zeros, end):
+        is_fitting = len(frame) + _LENGTH.size <= room_bytes
+        room_bytes -= (len(frame) + _LENGTH.size) * is_fitting
+        fitted.append(frame if is_fitting else b"")
+    *kept, kept_end = fitted
+    return tuple(filter(None, kept)), kept_end
+
+
+def encode(
+    kind: bytes, number: int = 0, zeros: tuple[bytes, ...] = (), end: bytes = b"", claim_bytes: int = 0
+) -> bytes:
     """Encode any record but a beat.
 
-    `number`: of the link of WATCH and RELEASE. WATCH has the ids of the velocity topics too, and the longest frame that
-    may have been sent to the device.
+    `number`: of the link of WATCH and RELEASE. WATCH has the frames that `fitting` returned too, and the longest frame
+    that may have been sent to the device.
     """
-    return _RECORD.pack(kind, number, claim_bytes, *(topic_ids + _NONE)[:MAX_TOPICS])
+    frames = (end, *zeros)
+    lengths = b"".join([_LENGTH.pack(len(frame)) for frame in frames])
+    return _HEAD.pack(kind, number, claim_bytes, len(frames)) + lengths + b"".join(frames)
 
 
 def encode_beat(driven: set[int]) -> bytes:
@@ -40,14 +59,16 @@ def decode_beat(record: bytes) -> tuple[int, ...] | None:
     return None if count > MAX_DRIVEN else struct.unpack(f"<{count}Q", record[1:])
 
 
-def decode(record: bytes) -> tuple[bytes, int, tuple[int, ...], int]:
-    """Decode any record but a beat: kind, link number, topic ids, claim.
+def decode(record: bytes) -> tuple[bytes, int, tuple[bytes, ...], bytes, int]:
+    """Decode any record but a beat: kind, link number, zeros, end, claim.
 
     Raises:
         struct.error: the bytes are not a record.
     """
-    kind, number, claim_bytes, *topic_ids = _RECORD.unpack(record)
-    return kind, number, tuple(filter(None, topic_ids)), claim_bytes
+    kind, number, claim_bytes, count = _HEAD.unpack_from(record)
+    lengths = struct.unpack_from(f"<{count}H", record, _HEAD.size)
+    frames = struct.unpack("".join([f"{length}s" for length in lengths]), record[_HEAD.size + _LENGTH.size * count :])
+    return kind, number, frames[1:], frames[0], claim_bytes
 
 
 def encode_answer(connections: int, stopped: int) -> bytes:

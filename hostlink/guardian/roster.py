@@ -14,7 +14,8 @@ class Watched:
     """Data needed to stop one robot."""
 
     connection: Callable[[], int | None]  # returns its descriptor while it is open
-    topic_ids: tuple[int, ...]
+    zeros: tuple[bytes, ...]
+    end: bytes
     claim_bytes: int
 
 
@@ -32,7 +33,7 @@ class GuardedLinks:
         return len(self._guarded)
 
     def watch(self, number: int, watched: Watched) -> None:
-        """Guard a link, or replace its velocity topics."""
+        """Guard a link, or replace the frames that stop its device."""
         self._wanted[number] = watched
         self._unsent[number] = None
 
@@ -50,7 +51,8 @@ class GuardedLinks:
             watched = self._wanted.get(number)
             descriptor = None if watched is None else watched.connection()
             if watched is not None and descriptor is not None:
-                return encode(WATCH, number, watched.topic_ids, watched.claim_bytes), descriptor
+                record = encode(WATCH, number, watched.zeros, watched.end, watched.claim_bytes)
+                return record, descriptor
             if number in self._guarded:
                 return encode(RELEASE, number), None
             del self._unsent[number]  # closed before it was sent

@@ -686,6 +686,10 @@ class Gates:
                 link.last_frame += frame
                 if len(stops) < MAX_GUARDED:
                     stops.append(frame)
+                else:
+                    log.warning("guardian.frames_dropped", link=link.number, guarded=MAX_GUARDED)
         if self._guardian is not None and stops:
             claim_bytes = link.session.longest_to_device_bytes
-            self._guardian.watch(link.number, link.descriptor, zeros=stops, end=STOP_REQUEST, claim_bytes=claim_bytes)
+            self._guardian.watch(
+                link.number, link.descriptor, zeros=tuple(stops), end=STOP_REQUEST, claim_bytes=claim_bytes
+            )

@@ -4,7 +4,7 @@ import pytest
 
 from hostlink.guardian.frames import stop_sequence
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.frame import encode
+from hostlink.protocol.frame import STOP_REQUEST, encode
 from tests.firmware.due import Retry, node
 from tests.support.original_device import OriginalDevice
 
@@ -13,6 +13,7 @@ LIMIT_S = 0.2
 VELOCITY = encode(100, bytes(range(1, 49)))
 LONG = encode(101, bytes(value % 251 for value in range(BUFFER_BYTES - 8)))
 TURN_S = 0.01
+ZEROS = (encode(100, bytes(48)),)
 
 
 @pytest.mark.parametrize("policy", list(Retry))
@@ -22,7 +23,7 @@ def test_the_firmware_stands_in_time(frame: bytes, policy: Retry) -> None:
         with node(policy) as device:
             device.feed(VELOCITY + frame[:cut])
             device.spin(1.0)
-            heard, waiting = device.received(), stop_sequence((100,), BUFFER_BYTES)
+            heard, waiting = device.received(), stop_sequence(ZEROS, BUFFER_BYTES, STOP_REQUEST)
             for turn in range(round(LIMIT_S / TURN_S)):
                 while waiting and waiting[0][0] <= turn * TURN_S:
                     device.feed(waiting.pop(0)[1])
@@ -42,7 +43,7 @@ def test_the_original_library_stands_in_time() -> None:
         device.subscribe("/long", twist.name, twist.md5, lambda _: None)  # 1 of 256 passes by chance
         device.from_host.send(VELOCITY + LONG[:cut], 1.0)
         device.spin(1.0)
-        waiting = stop_sequence((100,), BUFFER_BYTES)
+        waiting = stop_sequence(ZEROS, BUFFER_BYTES, STOP_REQUEST)
         for turn in range(round(LIMIT_S / TURN_S)):
             while waiting and waiting[0][0] <= turn * TURN_S:
                 device.from_host.send(waiting.pop(0)[1], 1.0 + turn * TURN_S)

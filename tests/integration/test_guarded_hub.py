@@ -6,7 +6,7 @@ import socket
 from hostlink.cli.serve import running
 from hostlink.config import ApiConfig, Config, TcpConfig
 from tests.support.fake_device import fake_device, robot_topics
-from tests.support.memory_hub import RecordingGuard
+from tests.support.memory_hub import RecordingGuard, twist_zeros
 from tests.support.waiting import expect
 
 CONFIG = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0))
@@ -16,7 +16,7 @@ async def test_guard_has_the_connection_of_a_robot_from_its_appearance_to_its_en
     guard = RecordingGuard()
     async with running(CONFIG, guard=guard) as (_, addresses):
         async with fake_device(addresses.tcp, robot_topics()) as device:
-            await expect(lambda: guard.watched == {1: ([100], 512)})
+            await expect(lambda: guard.watched == {1: (twist_zeros(100), 512)})
             descriptor = guard.connections[1]()
             assert descriptor is not None
             with socket.socket(fileno=os.dup(descriptor)) as same:

@@ -17,16 +17,20 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.guardian.frames import STOP_REQUEST, stop_sequence, zero_frame
+from hostlink.guardian.frames import stop_sequence
 from hostlink.guardian.guardian import CODE, Guardian, _spawn
-from hostlink.guardian.records import GOODBYE, PING, WATCH, encode
+from hostlink.guardian.records import GOODBYE, MAX_FRAMES_BYTES, PING, WATCH
+from hostlink.guardian.records import encode as encode_record
+from hostlink.protocol.frame import STOP_REQUEST, encode
 from tests.support.killing import guarded_by
 from tests.support.process import is_running
 from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import TIMEOUT_S, expect
 
-SEQUENCE = b"".join(part for _, part in stop_sequence((100,), 0))
+ZERO = encode(100, bytes(48))
+OTHER = encode(107, bytes(92))
+SEQUENCE = b"".join(part for _, part in stop_sequence((ZERO,), 0, STOP_REQUEST))
 ROBOTS = 200
 MORE_KIB = 2048  # than the interpreter takes by itself, which differs from version to version
 SIGNALS = signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}
@@ -80,7 +84,7 @@ def pid(ours: Guardian) -> int:
 
 def watch(ours: Guardian, peers: list[Peer]) -> None:
     for number, peer in enumerate(peers):
-        ours.watch(number, lambda peer=peer: peer.ours.fileno(), topic_ids=(100,), claim_bytes=0)
+        ours.watch(number, lambda peer=peer: peer.ours.fileno(), zeros=(ZERO,), end=STOP_REQUEST, claim_bytes=0)
 
 
 def descriptors(number: int) -> list[str]:
@@ -115,24 +119,23 @@ async def test_a_daemon_that_is_gone_leaves_zeros_then_id_11_then_the_end() -> N
             peer.ours.close()
             ours.abandon()
         assert peer.read_all()[0] == SEQUENCE
-        assert 3 * zero_frame(100) + STOP_REQUEST == SEQUENCE
+        assert 3 * ZERO + STOP_REQUEST == SEQUENCE
 
 
 async def test_every_velocity_topic_of_a_device_is_stopped() -> None:
     with connections(1) as (peer,):
         async with guardian() as ours:
-            ours.watch(1, peer.ours.fileno, topic_ids=(100, 107), claim_bytes=0)
+            ours.watch(1, peer.ours.fileno, zeros=(ZERO, OTHER), end=STOP_REQUEST, claim_bytes=0)
             await expect(lambda: guarded(ours) == 1)
             ours.abandon()
-        zeros = zero_frame(100) + b"\0" + zero_frame(107)
-        assert peer.read_all()[0] == 3 * zeros + STOP_REQUEST
+        assert peer.read_all()[0] == 3 * (ZERO + b"\0" + OTHER) + STOP_REQUEST
 
 
 async def test_a_serial_port_gets_the_same_and_is_free_afterwards() -> None:
     with pty_pair() as (device, path):
         port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         async with guardian() as ours:
-            ours.watch(1, lambda: port, topic_ids=(100,), claim_bytes=0)
+            ours.watch(1, lambda: port, zeros=(ZERO,), end=STOP_REQUEST, claim_bytes=0)
             lasted = Stopwatch()
             ours.abandon()
             assert lasted.seconds < 0.4  # it waits for no peer to close
@@ -166,10 +169,10 @@ async def test_a_link_that_gets_another_velocity_topic_is_stopped_by_that_one() 
     with connections() as (peer,):
         async with guardian() as ours:
             watch(ours, [peer])
-            ours.watch(0, peer.ours.fileno, topic_ids=(107,), claim_bytes=0)
+            ours.watch(0, peer.ours.fileno, zeros=(OTHER,), end=STOP_REQUEST, claim_bytes=0)
             peer.ours.close()
             ours.abandon()
-        assert peer.read_all()[0] == 3 * zero_frame(107) + STOP_REQUEST
+        assert peer.read_all()[0] == 3 * OTHER + STOP_REQUEST
 
 
 async def test_two_hundred_robots_stop_at_once_and_one_that_reads_nothing_delays_none() -> None:
@@ -187,7 +190,7 @@ async def test_two_hundred_robots_stop_at_once_and_one_that_reads_nothing_delays
             ours._channel.shutdown(socket.SHUT_RDWR)  # as the kernel does when the daemon is gone
             for peer in peers[1:]:
                 peer.theirs.settimeout(5)
-                assert peer.theirs.recv(56) == zero_frame(100)
+                assert peer.theirs.recv(56) == ZERO
             assert lasted.seconds < 0.2
             for peer in peers[1:]:
                 assert peer.read_all()[0] == SEQUENCE[56:]
@@ -203,7 +206,7 @@ async def test_device_that_keeps_sending_reads_all_before_its_connection_ends() 
         assert peer.read_all()[0] == SEQUENCE
 
 
-HANG = b"".join(part for _, part in stop_sequence((100,), 0, is_end=False))
+HANG = b"".join(part for _, part in stop_sequence((ZERO,), 0))
 
 
 def waiting_bytes(peer: Peer) -> bytes:
@@ -323,7 +326,7 @@ async def test_a_stopped_guardian_delays_no_link_and_no_goodbye() -> None:
             os.kill(number, signal.SIGSTOP)
             lasted = Stopwatch()
             for turn in range(5000):  # more than its queue takes
-                ours.watch(turn, peer.ours.fileno, topic_ids=(100,), claim_bytes=0)
+                ours.watch(turn, peer.ours.fileno, zeros=(ZERO,), end=STOP_REQUEST, claim_bytes=0)
                 ours.release(turn)
             assert lasted.seconds < 2.0
             ours.goodbye()
@@ -349,6 +352,31 @@ async def test_a_guardian_without_descriptors_reports_it_and_stops_those_that_it
     assert [(line["connections"], line["robots"]) for line in incomplete] == [(2, 3)]
 
 
+async def test_frames_that_do_not_fit_are_dropped_with_one_warning_and_the_others_are_written() -> None:
+    with connections() as (peer,), capture_logs() as lines:
+        async with guardian() as ours:
+            for _ in range(3):
+                zeros = [ZERO, bytes(MAX_FRAMES_BYTES), OTHER]
+                ours.watch(0, peer.ours.fileno, zeros=zeros, end=STOP_REQUEST, claim_bytes=0)
+            await expect(lambda: guarded(ours) == 1)
+            peer.ours.close()
+            ours.abandon()
+        assert peer.read_all()[0] == 3 * (ZERO + b"\0" + OTHER) + STOP_REQUEST
+    dropped = [line for line in lines if line["event"] == "guardian.frames_dropped"]
+    assert [(line["link"], line["guarded"]) for line in dropped] == [(0, 2)]
+
+
+async def test_the_longest_record_reaches_the_process_and_an_empty_end_is_not_written() -> None:
+    zero = bytes(range(1, 256)) * 16
+    with connections() as (peer,):
+        async with guardian() as ours:
+            ours.watch(0, peer.ours.fileno, zeros=[zero], end=b"", claim_bytes=0)
+            await expect(lambda: guarded(ours) == 1)
+            peer.ours.close()
+            ours.abandon()
+        assert peer.read_all()[0] == 3 * zero
+
+
 async def test_a_daemon_without_descriptors_starts_its_guardian_when_it_has_some() -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with connections() as (peer,), capture_logs() as lines:
@@ -371,13 +399,13 @@ async def test_answers_that_the_daemon_did_not_read_do_not_hide_its_last_words(*
     with connections() as (peer,):
         channel, process = _spawn()
         with channel:
-            socket.send_fds(channel, [encode(WATCH, 1, (100,))], [peer.ours.fileno()])
-            channel.send(encode(PING))
+            socket.send_fds(channel, [encode_record(WATCH, 1, (ZERO,), STOP_REQUEST)], [peer.ours.fileno()])
+            channel.send(encode_record(PING))
             await expect(lambda: guarded_by(process.pid) == 1)
             await expect(lambda: select.select([channel], [], [], 0)[0])  # the answer waits
             os.kill(process.pid, signal.SIGSTOP)
             if is_orderly:
-                channel.send(encode(GOODBYE))
+                channel.send(encode_record(GOODBYE))
         peer.ours.close()
         os.kill(process.pid, signal.SIGCONT)
         assert peer.read_all()[0] == (b"" if is_orderly else SEQUENCE)
@@ -403,7 +431,8 @@ async def test_guardian_has_only_its_own_descriptors_and_little_memory() -> None
         sizes = memory_kib(pid(ours))
         with connections(ROBOTS) as peers:  # more memory for more robots, and for longer frames, would be too much
             for number, peer in enumerate(peers):
-                ours.watch(number, peer.ours.fileno, topic_ids=(100 + number,), claim_bytes=65543)
+                zeros = [encode(100 + number + each, bytes(92)) for each in range(4)]  # of four TwistStamped
+                ours.watch(number, peer.ours.fileno, zeros=zeros, end=STOP_REQUEST, claim_bytes=65543)
             await expect(lambda: guarded(ours) == ROBOTS)
             with_robots = memory_kib(pid(ours))
         most_kib = interpreter_kib() + MORE_KIB

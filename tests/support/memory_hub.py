@@ -14,6 +14,7 @@ from hostlink.hub.gates import Guard
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot
 from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import encode
 from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
@@ -22,11 +23,17 @@ from tests.support.virtual_loop import run_virtual
 SETTLED_S = 0.05  # a device has announced its topics
 
 
+def twist_zeros(*topic_ids: int) -> list[bytes]:
+    """Return the frames that stop these topics of a Twist."""
+    return [encode(topic_id, bytes(48)) for topic_id in topic_ids]
+
+
 @dataclass
 class RecordingGuard:
     """Guard that records its calls."""
 
-    watched: dict[int, tuple[list[int], int]] = field(default_factory=dict)
+    watched: dict[int, tuple[list[bytes], int]] = field(default_factory=dict)
+    ends: dict[int, bytes] = field(default_factory=dict)
     connections: dict[int, Callable[[], int | None]] = field(default_factory=dict)
     released: list[int] = field(default_factory=list)
     driven: set[int] = field(default_factory=set)
@@ -37,10 +44,12 @@ class RecordingGuard:
         number: int,
         connection: Callable[[], int | None],
         *,
-        topic_ids: Sequence[int],
+        zeros: Sequence[bytes],
+        end: bytes,
         claim_bytes: int,
     ) -> None:
-        self.watched[number], self.connections[number] = (list(topic_ids), claim_bytes), connection
+        self.watched[number], self.ends[number] = (list(zeros), claim_bytes), end
+        self.connections[number] = connection
 
     def beat(self, driven: set[int]) -> None:
         self.driven, self.beats = set(driven), self.beats + 1

@@ -8,9 +8,11 @@ from collections.abc import Iterator
 import pytest
 
 from hostlink.guardian.connection import DATAGRAM_BYTES, GuardedConnection
-from hostlink.guardian.frames import INTERVAL_S, STOP_REQUEST, ZEROS, zero_frame
+from hostlink.guardian.frames import INTERVAL_S, ZEROS
+from hostlink.protocol.frame import STOP_REQUEST, encode
 
 END_S = ZEROS * INTERVAL_S
+ZERO = encode(100, bytes(48))
 
 
 @pytest.fixture
@@ -43,8 +45,8 @@ def play(connection: GuardedConnection, events: int = select.POLLOUT) -> None:
             connection.step(events, tenth / 100)
 
 
-def guarded(ours: socket.socket, claim_bytes: int = 100) -> GuardedConnection:
-    return GuardedConnection(ours.dup().detach(), (100,), claim_bytes)
+def guarded(ours: socket.socket, claim_bytes: int = 100, zeros: tuple[bytes, ...] = (ZERO,)) -> GuardedConnection:
+    return GuardedConnection(ours.dup().detach(), zeros, STOP_REQUEST, claim_bytes)
 
 
 def test_zeros_and_stop_request_are_datagrams_of_whole_frames(
@@ -53,8 +55,26 @@ def test_zeros_and_stop_request_are_datagrams_of_whole_frames(
     ours, device = pair
     connection = guarded(ours)
     play(connection)
-    assert received(device) == [zero_frame(100)] * ZEROS + [STOP_REQUEST]
+    assert received(device) == [ZERO] * ZEROS + [STOP_REQUEST]
     assert not connection.is_open
+
+
+@pytest.mark.parametrize("is_end", [True, False])
+def test_frames_of_many_endpoints_are_whole_in_as_few_datagrams_as_possible(
+    pair: tuple[socket.socket, socket.socket], *, is_end: bool
+) -> None:
+    ours, device = pair
+    zeros = tuple(encode(100 + number, bytes(92)) for number in range(16))
+    connection = guarded(ours, DATAGRAM_BYTES, zeros)
+    if is_end:
+        play(connection)
+    else:
+        connection.begin_hold()
+        for turn in range(ZEROS):
+            connection.hold(turn * INTERVAL_S)
+        connection.close()
+    both = [b"\0".join(zeros[:10]), b"\0".join(zeros[10:])]
+    assert received(device) == both * ZEROS + [STOP_REQUEST] * is_end
 
 
 def test_zeros_cover_the_length_of_frames_in_several_datagrams(
@@ -66,7 +86,7 @@ def test_zeros_cover_the_length_of_frames_in_several_datagrams(
     came = received(device)
     assert max(map(len, came)) <= DATAGRAM_BYTES
     assert len(b"".join(came)) > claim_bytes
-    assert b"".join(came).endswith(zero_frame(100) + STOP_REQUEST)
+    assert b"".join(came).endswith(ZERO + STOP_REQUEST)
 
 
 def test_icmp_error_does_not_end_the_connection(pair: tuple[socket.socket, socket.socket]) -> None:
@@ -84,7 +104,7 @@ def test_icmp_error_does_not_end_the_connection(pair: tuple[socket.socket, socke
         for tenth in range(2, 20):
             if connection.is_open:
                 connection.step(select.POLLOUT | select.POLLERR, tenth / 100)
-        assert received(back) == [zero_frame(100)] * (ZEROS - 1) + [STOP_REQUEST]
+        assert received(back) == [ZERO] * (ZEROS - 1) + [STOP_REQUEST]
 
 
 def test_unreachable_device_ends_the_connection_in_time(pair: tuple[socket.socket, socket.socket]) -> None:

@@ -1,5 +1,8 @@
 """Records between daemon and guardian, encoded and decoded."""
 
+import struct
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -8,23 +11,45 @@ from hostlink.guardian import records
 NUMBERS = st.integers(0, 2**64 - 1)
 
 
-@given(NUMBERS, st.lists(st.integers(1, 2**16 - 1), max_size=records.MAX_TOPICS), st.integers(0, 2**32 - 1))
-def test_encoded_record_is_decoded(number: int, ids: list[int], claim_bytes: int) -> None:
-    topic_ids = tuple(ids)
-    record = records.encode(records.WATCH, number, topic_ids, claim_bytes)
-    assert records.decode(record) == (records.WATCH, number, topic_ids, claim_bytes)
-    assert records.decode(records.encode(records.RELEASE, number)) == (records.RELEASE, number, (), 0)
+FRAMES = st.lists(st.binary(min_size=1, max_size=200), max_size=16).map(tuple)
 
 
-def test_every_record_has_one_size() -> None:
-    every = [
-        records.encode(records.WATCH, 1, (100,), 512),
-        records.encode(records.RELEASE, 1),
-        records.encode(records.PING),
-        records.encode(records.GOODBYE),
-    ]
-    assert len({len(record) for record in every}) == 1
-    assert [records.decode(record)[0] for record in every] == [b"W", b"R", b"P", b"G"]
+@given(NUMBERS, FRAMES, st.binary(max_size=20), st.integers(0, 2**32 - 1))
+def test_encoded_record_is_decoded(number: int, zeros: tuple[bytes, ...], end: bytes, claim_bytes: int) -> None:
+    record = records.encode(records.WATCH, number, zeros, end, claim_bytes)
+    assert records.decode(record) == (records.WATCH, number, zeros, end, claim_bytes)
+    for kind in (records.RELEASE, records.PING, records.GOODBYE):
+        assert records.decode(records.encode(kind, number)) == (kind, number, (), b"", 0)
+
+
+@given(FRAMES, st.binary(max_size=20), st.data())
+def test_record_cut_anywhere_is_not_decoded(zeros: tuple[bytes, ...], end: bytes, data: st.DataObject) -> None:
+    record = records.encode(records.WATCH, 1, zeros, end, 512)
+    size_bytes = data.draw(st.integers(0, len(record) - 1))
+    with pytest.raises(struct.error):
+        records.decode(record[:size_bytes])
+
+
+@given(st.lists(st.integers(1, 70_000), max_size=24), st.integers(0, 5000))
+def test_frames_that_fit_are_kept_in_order_and_the_record_fits_the_buffer(sizes: list[int], end_bytes: int) -> None:
+    zeros = tuple(bytes(size) for size in sizes)
+    fitted, end = records.fitting(zeros, bytes(end_bytes))
+    each = iter(zeros)
+    assert all(frame in each for frame in fitted)
+    assert len(records.encode(records.WATCH, 1, fitted, end, 512)) <= records.MAX_RECORD_BYTES
+    room_bytes = records.MAX_FRAMES_BYTES - sum(len(frame) + 2 for frame in fitted)
+    assert room_bytes >= 0
+    assert end in {bytes(end_bytes), b""}
+    left_out = list(sizes)
+    for frame in fitted:
+        left_out.remove(len(frame))
+    assert all(size + 2 > room_bytes for size in left_out)
+    assert bool(end) == (0 < end_bytes <= room_bytes - 2)
+
+
+def test_a_frame_that_is_too_long_takes_no_room_from_the_others() -> None:
+    assert records.fitting((b"a", bytes(5000), b"b"), b"e") == ((b"a", b"b"), b"e")
+    assert records.fitting((bytes(4095), bytes(4094), b"b"), b"e") == ((bytes(4094),), b"")
 
 
 @given(st.sets(NUMBERS))

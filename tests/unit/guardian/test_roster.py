@@ -14,7 +14,7 @@ class Guardian:
 
     def __init__(self, roster: GuardedLinks) -> None:
         self.roster = roster
-        self.connections: dict[int, int] = {}  # number -> topic id
+        self.connections: dict[int, bytes] = {}  # number -> zero
         self.confirmed = 0
 
     def hear_one(self) -> bool:
@@ -22,10 +22,10 @@ class Guardian:
         if found is None:
             return False
         record, descriptor = found
-        kind, number, topic_ids, _ = records.decode(record)
+        kind, number, zeros, _, _ = records.decode(record)
         if kind == records.WATCH:
             assert descriptor is not None
-            (self.connections[number],) = topic_ids
+            (self.connections[number],) = zeros
         else:
             assert descriptor is None
             del self.connections[number]
@@ -38,14 +38,14 @@ class Guardian:
             pass
 
 
-def watched(topic_id: int = 100, descriptor: int | None = 7) -> Watched:
-    return Watched(lambda: descriptor, (topic_id,), 512)
+def watched(zero: bytes = b"zero", descriptor: int | None = 7) -> Watched:
+    return Watched(lambda: descriptor, (zero,), b"end", 512)
 
 
 def test_link_is_sent_with_its_descriptor_then_released() -> None:
     roster = GuardedLinks()
     roster.watch(3, watched())
-    assert roster.next() == (records.encode(records.WATCH, 3, (100,), 512), 7)
+    assert roster.next() == (records.encode(records.WATCH, 3, (b"zero",), b"end", 512), 7)
     roster.confirm(has_descriptor=True)
     assert (roster.next(), roster.connections) == (None, 1)
     roster.release(3)
@@ -69,13 +69,13 @@ def test_connection_closed_before_it_was_sent_is_not_sent() -> None:
     assert roster.next() is None
 
 
-def test_new_velocity_topic_replaces_the_old_one() -> None:
+def test_new_frames_replace_the_old_ones() -> None:
     roster = GuardedLinks()
     guardian = Guardian(roster)
-    for topic_id in (100, 104):
-        roster.watch(3, watched(topic_id))
+    for zero in (b"old", b"newer"):
+        roster.watch(3, watched(zero))
         guardian.hear_all()
-    assert guardian.connections == {3: 104}
+    assert guardian.connections == {3: b"newer"}
 
 
 def test_everything_is_sent_to_a_new_guardian() -> None:
@@ -108,13 +108,14 @@ def test_records_for_a_stuck_guardian_are_bounded() -> None:
 def test_guardian_finally_has_exactly_the_open_watched_links(steps: list[tuple[str, int]]) -> None:
     roster = GuardedLinks()
     guardian = Guardian(roster)
-    wanted: dict[int, int] = {}
+    wanted: dict[int, bytes] = {}
     closed: set[int] = set()
     for number_of_step, (step, number) in enumerate(steps):
         if step == "watch":
             closed.discard(number)
-            wanted[number] = 100 + number_of_step
-            roster.watch(number, Watched(lambda number=number: None if number in closed else 7, (wanted[number],), 512))
+            wanted[number] = bytes(number_of_step)
+            zeros = (wanted[number],)
+            roster.watch(number, Watched(lambda number=number: None if number in closed else 7, zeros, b"", 512))
         elif step == "release":
             wanted.pop(number, None)
             roster.release(number)

@@ -13,7 +13,7 @@ from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.fake_device import robot_topics, topic
 from tests.support.gates import drive_gate
-from tests.support.memory_hub import MemoryHub, in_hub, velocities
+from tests.support.memory_hub import MemoryHub, in_hub, twist_zeros, velocities
 from tests.support.scripted_device import ScriptedDevice
 
 SLOW = PlanarVelocity(0.1)
@@ -88,7 +88,7 @@ def test_all_of_its_zeros_are_sent_and_it_stays_guarded_while_the_damage_lasts(d
         after = velocities(device)
         assert after[after.index((0.0, 0.0)) :][:3] == [(0.0, 0.0)] * 3
         assert (0.1, 0.0) not in after[after.index((0.0, 0.0)) :]
-        assert 100 in made.guard.watched[device.link.number][0]
+        assert twist_zeros(100)[0] in made.guard.watched[device.link.number][0]
         assert zero in device.link.last_frame
 
     in_hub(test)
@@ -105,7 +105,7 @@ def test_endpoint_is_given_up_after_its_zeros_if_a_second_announcement_is_the_sa
         after = velocities(device)
         assert after[after.index((0.0, 0.0)) :] == [(0.0, 0.0)] * after.count((0.0, 0.0))
         assert after.count((0.0, 0.0)) >= 3
-        assert 100 not in made.guard.watched.get(device.link.number, ([], 0))[0]
+        assert twist_zeros(100)[0] not in made.guard.watched.get(device.link.number, ([], 0))[0]
         device.heard.clear()
         made.hub.robots.stop_all()
         await asyncio.sleep(0.05)

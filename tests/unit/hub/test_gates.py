@@ -12,13 +12,13 @@ from hostlink.hub.gates import FEED_INTERVAL_S, MAX_GUARDED, Refusals
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Node
 from hostlink.hub.robot_events import LEASE_ENDED, LET_GO, NOT_TAKEN, OTHER_TOPICS, EventKind, RobotEvent
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.frame import STOP_REQUEST, Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 from tests.support.compiled_modules import replaces_a_method
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
-from tests.support.memory_hub import MemoryHub, in_hub, velocities
+from tests.support.memory_hub import MemoryHub, in_hub, twist_zeros, velocities
 from tests.support.remote_robots import remote_robot
 from tests.support.ros_lib_device import running_hub
 from tests.support.virtual_loop import VirtualLoop, run_virtual, virtual
@@ -279,7 +279,8 @@ def test_guard_watches_velocity_topics_and_knows_which_links_are_driven() -> Non
     async def test(made: MemoryHub) -> None:
         device = await made.connect()
         number = device.link.number
-        assert made.guard.watched[number][0] == [100]
+        assert made.guard.watched[number] == (twist_zeros(100), 512)
+        assert made.guard.ends[number] == STOP_REQUEST
         await asyncio.sleep(1.0)
         assert made.guard.driven == set()
         drive_gate(made.robot(), SLOW, owner="ann")
@@ -299,17 +300,17 @@ def test_guard_is_told_of_every_velocity_topic_of_other_ids_and_larger_frames_un
         arm = topic(Id.SUBSCRIBER, 107, "/robot_0/arm_vel", "geometry_msgs/Twist")
         device = await made.connect([arm, *robot_topics()])
         number, (odometry, velocity, reset) = device.link.number, robot_topics()
-        assert made.guard.watched[number] == ([100, 107], 512)
+        assert made.guard.watched[number] == (twist_zeros(100, 107), 512)
         device.infos = [odometry, velocity._replace(topic_id=104), reset._replace(buffer_bytes=2048)]
         await device.announce()
         await asyncio.sleep(0.1)
-        assert made.guard.watched[number] == ([104, 100, 107], 2048)  # the announcement may be damaged
+        assert made.guard.watched[number] == (twist_zeros(104, 100, 107), 2048)  # the announcement may be damaged
         await asyncio.sleep(2.0)
-        assert made.guard.watched[number] == ([104], 2048)
+        assert made.guard.watched[number] == (twist_zeros(104), 2048)
         device.infos = [odometry._replace(name="/robot_0/map")]
         await device.announce()
         await asyncio.sleep(0.1)
-        assert made.guard.watched[number] == ([104], 512)
+        assert made.guard.watched[number] == (twist_zeros(104), 512)
         await asyncio.sleep(2.0)
         assert number not in made.guard.watched
 
@@ -333,7 +334,10 @@ def test_guard_watches_no_more_than_its_bound_of_velocity_topics() -> None:
     async def test(made: MemoryHub) -> None:
         infos = [topic(Id.SUBSCRIBER, 100 + each, f"/n{each}/cmd_vel", "geometry_msgs/Twist") for each in range(20)]
         device = await made.connect(infos)
-        assert len(made.guard.watched[device.link.number][0]) == MAX_GUARDED
+        number = device.link.number
+        assert made.guard.watched[number][0] == twist_zeros(*range(100, 100 + MAX_GUARDED))
+        dropped = [line for line in made.logs if line["event"] == "guardian.frames_dropped"]
+        assert [(line["link"], line["guarded"]) for line in dropped] == [(number, MAX_GUARDED)]
 
     in_hub(test)
 
