@@ -684,9 +684,8 @@ class Gates:
             if info is not None:
                 frame = encode(info.topic_id, zero)
                 link.last_frame += frame
-                if len(stops) < MAX_GUARDED:
-                    stops.append(frame)
-                else:
+                stops.append(frame)
+                if len(stops) == MAX_GUARDED + 1 and self._guardian is not None:
                     log.warning("guardian.frames_dropped", link=link.number, guarded=MAX_GUARDED)
         if self._guardian is not None and stops:
             claim_bytes = link.session.longest_to_device_bytes

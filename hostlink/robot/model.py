@@ -250,19 +250,20 @@ def suggestion(suspects: Sequence[Endpoint], name: str, address: str) -> str:
 
 def _commands(endpoints: Sequence[Endpoint], settings: CommandSettings) -> tuple[tuple[TopicType, ...], CommandKind]:
     """Return the command topics of a device, and their kind. Empty: it takes no velocity."""
-    to_device = {each.name: each for each in endpoints if each.is_to_device}
+    to_device = [each for each in endpoints if each.is_to_device]
     if settings.topics:
-        found = tuple(TopicType(name, to_device[name].type_name) for name in settings.topics if name in to_device)
+        types = {each.name: each.type_name for each in to_device}
+        found = tuple(TopicType(name, types[name]) for name in settings.topics if name in types)
         if len(found) < len(settings.topics):
             return (), CommandKind.TWIST
         kind = settings.kind
         if kind is None:
             kind = CommandKind.ACKERMANN if found[0].type_name in ACKERMANN_TYPES else CommandKind.TWIST
         return found, kind
-    likely = [each for each in to_device.values() if is_velocity(each, settings.ignored)]
+    likely = [each for each in to_device if is_velocity(each, settings.ignored)]
     poses = [each for each in endpoints if _is_pose(each)]
     if not likely and poses:  # what has a pose and takes a Twist is a robot, whatever the Twist's name
-        twists = (each for each in to_device.values() if each.type_name in _TWISTS)
+        twists = (each for each in to_device if each.type_name in _TWISTS)
         likely = [each for each in twists if each.name not in settings.ignored]
     if not likely:
         return (), CommandKind.TWIST
