@@ -37,14 +37,14 @@ class RobotView(TypedDict):
 
     holder_address: address of the driver's connection; null: no driver, a part of a daemon, or at another daemon.
     command_type: type of velocity_topic. odometry_topic: null: the device publishes no pose, so that nobody can say
-    whether it is stopped. played: the device is a recording that is played, which obeys no command. unreachable: why the
-    device could not receive the last velocity; null: it could. host: the daemon that has its link; null: this one.
-    also_at: other daemons with a robot of this name. wheel_separation_m, kinematics: as configured. frames: number that
-    the device has sent on this link, so that a reader notices silence; null: not connected, or at another daemon.
+    whether it is stopped. played: the device is a recording that is played, which obeys no command. unreachable: why
+    the device could not receive the last velocity; null: it could. host: the daemon that has its link; null: this one.
+    also_at: other daemons with a robot of this name. wheel_separation_m, kinematics: as configured. frames: number
+    that the device has sent on this link, so that a reader notices silence; null: not connected, or at another daemon.
     epoch: number of interruptions: stops, locks, reconnections. battery_v, battery_percent: newest values that the
-    device has sent on this link; null: it sends none. signal_dbm: WiFi signal of the device; null: it does not report it. device_errors:
-    codes of what `hostlink doctor` finds wrong with the device, the most likely cause first. firmware: name and version
-    in the device's log; null: it logs none.
+    device has sent on this link; null: it sends none. signal_dbm: WiFi signal of the device; null: it does not report
+    it. device_errors: codes of what `hostlink doctor` finds wrong with the device, the most likely cause first.
+    firmware: name and version in the device's log; null: it logs none.
     """
 
     name: str
