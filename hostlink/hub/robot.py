@@ -25,7 +25,8 @@ from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, Command
 from hostlink.robot.names import SURE_S, RobotTopicNames
-from hostlink.robot.odometry import READERS, OdometryCorrection, OdometryEstimator, OdometrySnapshot
+from hostlink.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, aged_rate_hz
+from hostlink.robot.readings import READERS
 from hostlink.robot.standstill import OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import PlanarVelocity
@@ -310,6 +311,9 @@ class LocalRobot(Drivable, AnyRobot):
             log.debug("odometry.unreadable", robot=self.name, reason=str(error))
             return
         stamp_ns = message.stamp_ns
+        if reading.pose is None:
+            self.odometry.ignored += 1
+            return
         if reading.stamp_ns is not None and link is not None:  # by the device's clock
             stamp_ns = link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
         is_stamped = bool(reading.stamp_ns)
@@ -373,7 +377,8 @@ class RemoteOdometry:
         self.read_at_s = now_s
         if self._newest is None:
             return None
-        return dataclasses.replace(self._newest, age_s=self._newest.age_s + now_s - self._at_s)
+        age_s = self._newest.age_s + now_s - self._at_s
+        return dataclasses.replace(self._newest, age_s=age_s, rate_hz=aged_rate_hz(self._newest.rate_hz, age_s))
 
 
 @dataclass(eq=False, kw_only=True)

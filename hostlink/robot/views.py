@@ -20,10 +20,15 @@ class PoseView(TypedDict):
 
 
 class OdometryView(TypedDict):
-    """The newest pose, and the motion over the last poses."""
+    """The newest pose, and the motion over the last poses.
 
-    pose: PoseView
-    twist: VelocityView
+    pose, twist: null if the robot's feedback does not tell it.
+    is_moving: of a robot whose feedback tells only that; else null.
+    """
+
+    pose: PoseView | None
+    twist: VelocityView | None
+    is_moving: bool | None
     stamp_ns: int
     age_s: float
     rate_hz: float
