@@ -232,6 +232,28 @@ class WheelsConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EncodersConfig:
+    """Topics that tell how the wheels of a robot turn; hostlink integrates its pose from them."""
+
+    topics: tuple[str, ...] = ()  # one for each wheel
+    topic: str | None = None  # or one for all: an array or a JointState
+    joints: tuple[str, ...] = ()  # names in a JointState
+    wheels: tuple[str, ...] = ()  # names of the wheels in the order of the topics; empty: the order of the drive
+    directions: tuple[int, ...] = ()  # 1, or -1 for a wheel that counts down when it rolls forward; empty: 1
+    unit: Literal["ticks", "rad", "m", "ticks/s", "rad/s", "rpm", "m/s"] = "ticks"
+    counts: Literal["absolute", "differences"] = "absolute"
+    ticks_per_turn: float | None = None
+
+    def __post_init__(self) -> None:
+        if bool(self.topics) == (self.topic is not None):
+            raise ValueError("encoders needs either topics, one for each wheel, or topic, one for all")
+        if not all(abs(each) == 1 for each in self.directions):
+            raise ValueError("encoders.directions must be 1 or -1 for each wheel")
+        if self.ticks_per_turn is not None and not self.ticks_per_turn > 0:
+            raise ValueError("encoders.ticks_per_turn must be above zero")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class JoyConfig:
     """Topic of type sensor_msgs/Joy by which a robot is driven. Axes and buttons are numbered from 0."""
 
@@ -306,12 +328,15 @@ class RobotConfig:
     not_commands: tuple[str, ...] = ()  # topics that drive nothing, whatever their name and type
     locked_topics: tuple[str, ...] = ()  # further topics that a lock refuses, for example of servos
     odometry_topic: str | None = None  # None: it is recognised; "": what the device publishes is not its pose
+    encoders: EncodersConfig | None = None  # instead of an odometry_topic
 
     def __post_init__(self) -> None:
         ways = {"command_topic": self.command_topic, "wheels": self.wheels, "joy": self.joy, "words": self.words}
         given = [name for name, each in ways.items() if each is not None]
         if len(given) > 1:
             raise ValueError(f"{given[0]} and {given[1]} are two ways to command one robot: choose one")
+        if self.encoders is not None and self.odometry_topic:
+            raise ValueError("encoders and odometry_topic are two ways to know the robot's motion: choose one")
         if not 0 <= self.resume_after_reconnect_s <= MAX_RESUME_S:
             raise ValueError(f"resume_after_reconnect_s must be a number from 0 to {MAX_RESUME_S:g}")
 

@@ -34,7 +34,8 @@ from hostlink.recording.incident import Incident, IncidentFiles, SavedIncident, 
 from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry import READERS, OdometryEstimator
+from hostlink.robot.odometry import OdometryEstimator
+from hostlink.robot.readings import READERS
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from hostlink.robot.views import PoseView, VelocityView
 

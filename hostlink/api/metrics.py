@@ -210,7 +210,7 @@ class Metrics:
         yield _gauge("robot_driven", "1 while the robot is driven", driven, "robot")
         commanded = [sample for each in robots for sample in _by_axis(each.name, each.gate.current)]
         yield _gauge("robot_commanded_speed", "Commanded, m/s and rad/s", commanded, "robot", "axis")
-        measured = [sample for name, found in odometry for sample in _by_axis(name, found.twist)]
+        measured = [sample for name, found in odometry if found.twist for sample in _by_axis(name, found.twist)]
         yield _gauge("robot_speed", "Measured, m/s and rad/s", measured, "robot", "axis")
         volts = [(each.name, each.battery.voltage_v) for each in robots if each.battery is not None]
         yield _gauge("robot_battery_volts", "Measured by the device", volts, "robot")

@@ -256,9 +256,11 @@ def velocity_answer(robot: AnyRobot, requested: PlanarVelocity, limited: PlanarV
 
 def odometry_view(known: OdometrySnapshot) -> OdometryView:
     """Return the newest pose with its age."""
+    pose = known.pose
     return {
-        "pose": {"x_m": known.pose.x_m, "y_m": known.pose.y_m, "theta_rad": known.pose.theta_rad},
-        "twist": velocity_view(known.twist),
+        "pose": None if pose is None else {"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad},
+        "twist": None if known.twist is None else velocity_view(known.twist),
+        "is_moving": known.is_moving,
         "stamp_ns": known.stamp_ns,
         "age_s": round(known.age_s, 6),
         "rate_hz": round(known.rate_hz, 2),

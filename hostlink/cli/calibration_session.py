@@ -56,7 +56,10 @@ class Drives:
         async with connected(self._url, self._token) as host:
             state = await free_robot(host, self.robot)
             robot = host.robot(self.robot, priority=PRIORITY)
-            async with host.subscribe(state["odometry_topic"]) as poses, _stopping(robot):
+            poses_topic = state["odometry_topic"]
+            if poses_topic is None:
+                raise HostlinkError(f"{state['name']} publishes no pose: there is nothing to calibrate")
+            async with host.subscribe(poses_topic) as poses, _stopping(robot):
                 return await _drive(robot, CourseFollower(legs, self._speed), correction, poses, show)
 
     async def nominal(self) -> WheelGeometry:

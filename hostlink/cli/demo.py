@@ -190,7 +190,7 @@ def _describe(robot: LocalRobot) -> str:
     if robot.link is None:
         return f"{robot.name} is not connected"
     estimate = robot.odometry.snapshot(asyncio.get_running_loop().time())
-    if estimate is None:
+    if estimate is None or estimate.pose is None or estimate.twist is None:
         return f"{robot.name} waits for its odometry"
     pose, twist = estimate.pose, estimate.twist
     return (

@@ -119,14 +119,15 @@ def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
         robot["name"],
         link,
         who,
-        speed_text(twist),
-        f"{twist['angular_rad_s']:+.2f}",
-        f"{pose['x_m']:+.2f}",
-        f"{pose['y_m']:+.2f}",
-        f"{pose['theta_rad'] * _DEGREES:+.0f}",
+        *(("-", "-") if twist is None else (speed_text(twist), f"{twist['angular_rad_s']:+.2f}")),
+        *(("-",) * 3 if pose is None else _pose_row(pose)),
         f"{odometry['rate_hz']:.1f}",
         f"{odometry['age_s']:.1f}",
     )
+
+
+def _pose_row(pose: Mapping[str, Any]) -> tuple[str, ...]:
+    return f"{pose['x_m']:+.2f}", f"{pose['y_m']:+.2f}", f"{pose['theta_rad'] * _DEGREES:+.0f}"
 
 
 def speed_text(twist: Mapping[str, Any]) -> str:

@@ -22,7 +22,7 @@ from hostlink.cli.output import draw, terminal_size, write_control
 from hostlink.cli.robots import name_of
 from hostlink.cli.teleop_screen import QUIT_KEY, UNLOCK_KEY, OwnState, lost_screen, screen
 from hostlink.client import DEFAULT_URL, Event, Host, Refusal, Robot, RobotState, connect
-from hostlink.client.views import Twist
+from hostlink.client.views import Odometry, Twist
 from hostlink.errors import ConfigError, HostlinkError, RefusalKind, UnknownTopic
 from hostlink.loop_time import loop_time_s
 from hostlink.robot.standstill import DriveWatch, Speeds
@@ -263,9 +263,14 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> N
 
 def _observe(watch: DriveWatch, state: RobotState) -> None:
     odometry = state["odometry"]
-    measured = None if odometry is None else _speeds(odometry["twist"])
+    measured = None if odometry is None else _measured(odometry)
     age_s = 0.0 if odometry is None else odometry["age_s"]
     watch.observe(_speeds(state["velocity"]), measured, loop_time_s(), age_s=age_s)
+
+
+def _measured(odometry: Odometry) -> Speeds:
+    twist = odometry["twist"]
+    return Speeds(is_moving=odometry["is_moving"] is not False) if twist is None else _speeds(twist)
 
 
 def _speeds(twist: Twist) -> Speeds:

@@ -89,10 +89,13 @@ def _odometry(state: RobotState) -> Iterator[Line]:
         yield Line("odometry  none yet")
         return
     pose, twist = odometry["pose"], odometry["twist"]
-    yield Line(
-        f"odometry  {speed_text(twist)} m/s  {twist['angular_rad_s']:+5.2f} rad/s   "
-        f"x {pose['x_m']:+7.3f} m  y {pose['y_m']:+7.3f} m   heading {math.degrees(pose['theta_rad']):+.1f}°"
+    speed = "" if twist is None else f"{speed_text(twist)} m/s  {twist['angular_rad_s']:+5.2f} rad/s   "
+    place = (
+        "no pose"
+        if pose is None
+        else (f"x {pose['x_m']:+7.3f} m  y {pose['y_m']:+7.3f} m   heading {math.degrees(pose['theta_rad']):+.1f}°")
     )
+    yield Line(f"odometry  {speed}{place}")
     yield Line(f"age       {odometry['age_s']:5.2f} s  at {odometry['rate_hz']:4.1f} Hz")
 
 

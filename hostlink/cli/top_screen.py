@@ -34,7 +34,7 @@ def _trouble(robot: dict[str, Any]) -> int:
 
 
 def _slowness(robot: dict[str, Any]) -> float:
-    twist = (robot["odometry"] or {}).get("twist", {})
+    twist = (robot["odometry"] or {}).get("twist") or {}
     return -math.hypot(twist.get("linear_m_s", 0.0), twist.get("linear_y_m_s", 0.0))
 
 

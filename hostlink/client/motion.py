@@ -351,6 +351,7 @@ async def _newest(poses: Mailbox[Odometry]) -> Fix | None:
     except TimeoutError:
         return None
     found = [found, *poses.pop_all()][-1]
-    if found["age_s"] > SILENCE_S:
+    pose = found["pose"]
+    if pose is None or found["age_s"] > SILENCE_S:
         return None
-    return Fix(Pose(found["pose"]["x_m"], found["pose"]["y_m"], found["pose"]["theta_rad"]), found.get("restarts", 0))
+    return Fix(Pose(pose["x_m"], pose["y_m"], pose["theta_rad"]), found.get("restarts", 0))

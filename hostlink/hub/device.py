@@ -173,7 +173,7 @@ class Device:
             drivable.echoes.pop(name, None)
         self._hub.topics.unadvertise(name, self.link)
         self._hub.topics.unsubscribe_device(name, self.link)
-        if robot is not None and name == robot.shown.odometry:
+        if robot is not None and name in {self.shown.of(own) for own, _ in robot.feedback.topics}:
             self._end_odometry()
             for info in self.infos:
                 self._route_refused(info, robot)
@@ -194,6 +194,11 @@ class Device:
                 topic.publish(message.payload, source=link, at_s=came_s if topic.is_gated else read_s)
             except HostlinkError as error:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
+
+    @property
+    def sent_topics(self) -> list[TopicType]:
+        """Topics that the device sends, by its own names."""
+        return [TopicType(info.name, info.type) for info in self.infos if info.kind is Id.PUBLISHER]
 
     def announced_again(self) -> None:
         """Send latched messages again: a board that announces the same topics may have restarted."""
@@ -258,19 +263,19 @@ class Device:
             self._observers[info.topic_id] = partial(self._observe_battery, robot)
         elif topic.type is not None and topic.type.fields[:1] == (_HEADER,):
             self._observers[info.topic_id] = self._observe_stamp
-        if robot is not None and (info.name, info.type) == (robot.topics.odometry, robot.topics.odometry_type):
-            self._subscribe_robot(topic, robot)
+        if robot is not None and (info.name, info.type) in robot.feedback.topics:
+            self._subscribe_robot(info.name, topic, robot)
 
     def _route_refused(self, info: TopicInfo, robot: LocalRobot | None) -> None:
         """Route a robot's odometry even if the graph has another type by this name."""
-        if robot is not None and info.kind is Id.PUBLISHER and info.name == robot.topics.odometry:
+        if robot is not None and info.kind is Id.PUBLISHER and (info.name, info.type) in robot.feedback.topics:
             topic = Topic(self.shown.of(info.name))
             topic.type, topic.type_name = self._hub.catalog.message(info.type), info.type
             self._route(info, topic, robot)
 
-    def _subscribe_robot(self, topic: Topic, robot: LocalRobot) -> None:
-        fail = partial(self._crash, robot)
-        number = topic.add_subscriber(Subscriber(robot.receive_odometry, self._hub.node, "", fail))
+    def _subscribe_robot(self, own_name: str, topic: Topic, robot: LocalRobot) -> None:
+        receive, fail = partial(robot.receive_feedback, own_name), partial(self._crash, robot)
+        number = topic.add_subscriber(Subscriber(receive, self._hub.node, "", fail))
         self._odometry.append((topic, number))
 
     def _crash(self, robot: LocalRobot, error: Exception) -> None:
@@ -345,6 +350,7 @@ class Device:
         """Send a message to the device. `reset` is the robot whose odometry it resets."""
         if reset is not None:
             reset.odometry.expect_reset(message.at_s)
+            reset.feedback.reset_pose()
         self.link.session.publish(name, message.payload, depth=COMMAND_DEPTH)
         self.link.wake()
 

@@ -37,16 +37,18 @@ from hostlink.robot.command_types import (
     WordCommand,
     Words,
 )
+from hostlink.robot.feedback import Feedback, FeedbackSettings
 from hostlink.robot.kinematics import SETTINGS as DIMENSIONS
 from hostlink.robot.kinematics import AckermannDrive, Drive, drive_of
 from hostlink.robot.model import CommandKind, CommandSettings, RobotTopicNames
 from hostlink.robot.names import SURE_S
-from hostlink.robot.odometry import READERS, OdometryCorrection, OdometryEstimator, OdometrySnapshot
+from hostlink.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, aged_rate_hz
 from hostlink.robot.ros_messages import FrameIds
 from hostlink.robot.standstill import OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import Limits, VelocityGate
+from hostlink.robot.wheel_feedback import WheelSettings
 
 log = structlog.get_logger()
 
@@ -119,7 +121,7 @@ def drive_for(config: RobotConfig, topics: Sequence[TopicType]) -> Drive:
     kinematics: str = config.kinematics
     if kinematics == "" and topics[0].type_name in ACKERMANN_TYPES:
         kinematics = "ackermann"
-    elif kinematics == "" and config.wheels is not None:
+    elif kinematics == "" and (config.wheels is not None or config.encoders is not None):
         kinematics = "differential"
     return drive_of(kinematics, {name: getattr(config, name) for name in DIMENSIONS})
 
@@ -144,6 +146,20 @@ def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[
         per_turn = {"rad_s": math.tau, "rpm": 60.0, "ticks_s": wheels.ticks_per_turn}[wheels.unit]
         per_m_s = per_turn / (math.tau * config.wheel_radius_m)
     return [WheelScale(per_m_s, direction, wheels.rest) for direction in directions]
+
+
+def feedback_of(topics: RobotTopicNames, sent: Iterable[TopicType], config: RobotConfig) -> Feedback:
+    """Return what tells of a robot's motion, of the topics that its device sends.
+
+    Raises:
+        ConfigError: the settings do not fit the topics or the drive.
+    """
+    encoders = None
+    if config.encoders is not None:
+        fields = dataclasses.asdict(config.encoders)
+        encoders = WheelSettings(**fields, wheel_radius_m=config.wheel_radius_m)
+    settings = FeedbackSettings(topic=topics.odometry or "", encoders=encoders)
+    return Feedback(sent, settings, drive_for(config, topics.commands))
 
 
 def commands_of(
@@ -281,6 +297,7 @@ class LocalRobot(Drivable, AnyRobot):
     gate: VelocityGate[PlanarVelocity]
     config: RobotConfig
     odometry: OdometryEstimator
+    feedback: Feedback
     topics: RobotTopicNames  # names that the device uses
     shown: RobotTopicNames  # names in the graph
     on_lock: "Callable[[LocalRobot], None]"  # called after a lock or unlock: a locked robot is never forgotten
@@ -319,6 +336,7 @@ class LocalRobot(Drivable, AnyRobot):
             odometry_type=shown.odometry_type,
             reset_topic=shown.reset,
             command_type=shown.velocity_type,
+            feedback=self.feedback.kind,
             is_played=self.is_played,
             holder=None if driver is None else str(driver.source),
             holder_address=None if driver is None else address_of(driver.source) or None,
@@ -403,7 +421,7 @@ class LocalRobot(Drivable, AnyRobot):
         link = self.link
         if link is None:
             return "its device is not connected"
-        if self.topics.odometry is None:
+        if not self.feedback.topics:
             return NO_ODOMETRY
         if self.odometry.count == 0:
             return "it sends no odometry"
@@ -411,24 +429,33 @@ class LocalRobot(Drivable, AnyRobot):
             return f"nothing has come from its device for {link.silent_s:.1f} s"
         return "no odometry has come since the stop"
 
-    def receive_odometry(self, message: Message) -> None:
-        """Receive a message of the odometry topic. Messages that did not arrive on the robot's own link are ignored."""
+    def receive_feedback(self, topic: str, message: Message) -> None:
+        """Receive a message of a topic of its feedback, by the device's name of it.
+
+        Messages that did not arrive on the robot's own link are ignored.
+        """
         link = None if self.connection is None else self.connection.link
-        if message.source is not link or message.type_name != self.topics.odometry_type:
+        if message.source is not link or (topic, message.type_name) not in self.feedback.topics:
             return
         count = self.odometry.count
         try:
-            reading = READERS[message.type_name](message.payload)
+            reading = self.feedback.read(topic, message.payload, now_s=message.at_s)
         except BadPayload as error:
             self.unreadable += 1
             log.debug("odometry.unreadable", robot=self.name, reason=str(error))
             return
+        if reading is None:
+            return
         stamp_ns = message.stamp_ns
         if reading.stamp_ns is not None and link is not None:  # by the device's clock
             stamp_ns = link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
-        is_stamped = bool(reading.stamp_ns)
         self.odometry.update(
-            reading.pose, now_s=message.at_s, wall_ns=stamp_ns, twist=reading.twist, is_stamped=is_stamped
+            reading.pose,
+            now_s=message.at_s,
+            wall_ns=stamp_ns,
+            twist=reading.twist,
+            is_stamped=bool(reading.stamp_ns),
+            is_moving=reading.is_moving,
         )
         if self.odometry.count > count:
             for follow in tuple(self.followers.values()):  # one may leave meanwhile
@@ -487,7 +514,8 @@ class RemoteOdometry:
         self.read_at_s = now_s
         if self._newest is None:
             return None
-        return dataclasses.replace(self._newest, age_s=self._newest.age_s + now_s - self._at_s)
+        age_s = self._newest.age_s + now_s - self._at_s
+        return dataclasses.replace(self._newest, age_s=age_s, rate_hz=aged_rate_hz(self._newest.rate_hz, age_s))
 
 
 @dataclass(eq=False, kw_only=True)

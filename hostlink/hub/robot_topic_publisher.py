@@ -16,7 +16,7 @@ from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog, to_time
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.ros_messages import FrameIds, odometry_of, transform_of, variances_of
-from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO
 
 log = structlog.get_logger()
 
@@ -97,10 +97,12 @@ class RobotTopicPublisher:
             return
         topics = [topic for topic in (odom, tf) if topic is not None and topic.has_subscribers]
         estimate = offer.robot.odometry.snapshot(message.at_s)
-        if estimate is None:
+        if estimate is None or estimate.pose is None:
             return
         stamp = to_time(estimate.stamp_ns)
-        odometry = odometry_of(estimate.pose, estimate.twist, offer.frames, stamp, variances_of(message.decoded))
+        odometry = odometry_of(
+            estimate.pose, estimate.twist or ZERO, offer.frames, stamp, variances_of(message.decoded)
+        )
         for topic in topics:
             fields = odometry if topic is offer.odom else transform_of(odometry)
             type_name = ODOMETRY_TYPE if topic is offer.odom else TF_TYPE

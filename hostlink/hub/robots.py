@@ -21,6 +21,7 @@ from hostlink.hub.robot import (
     RemoteRobot,
     commands_of,
     correction_of,
+    feedback_of,
     frames_of,
     limits_of,
     of_namesake,
@@ -30,6 +31,7 @@ from hostlink.link.link import Link
 from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
 from hostlink.robot.command_types import CommandType
+from hostlink.robot.feedback import Feedback
 from hostlink.robot.model import RobotTopicNames
 from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
@@ -250,6 +252,7 @@ class Robots:
         """
         config = self._config_of(name, topics.name)
         commands = commands_of(topics.commands, config, kind=topics.kind, frame_id=frames_of(name, config).base)
+        feedback = feedback_of(topics, device.sent_topics, config)
         if device.robot is not None and device.robot.name != name:
             self.vanish(device)
         robot = self._robots.get(name)
@@ -257,14 +260,14 @@ class Robots:
             self._gates.note_end(robot, OTHER_TOPICS)
         self._gates.detach(device)
         if robot is None:
-            robot = self._robots[name] = self._make(name, topics, shown, commands)
+            robot = self._robots[name] = self._make(name, topics, shown, commands, feedback)
             self._gates.register(robot.admission)
             self._join_early(robot)
         before = self.device(robot.link)
         if before is not None:
             before.robot = None
             self._gates.detach(before)
-        robot.topics, robot.shown, robot.commands = topics, shown, commands
+        robot.topics, robot.shown, robot.commands, robot.feedback = topics, shown, commands, feedback
         robot.battery = None
         device.robot = robot
         self._away.remove(name)
@@ -354,7 +357,9 @@ class Robots:
                     await self._wake.wait()
             self._forget_some()
 
-    def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, commands: CommandType) -> LocalRobot:
+    def _make(
+        self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, commands: CommandType, feedback: Feedback
+    ) -> LocalRobot:
         config = self._config_of(name, topics.name)
         admission = Admission(name, epoch=secrets.randbits(EPOCH_BITS))
         robot = LocalRobot(
@@ -367,6 +372,7 @@ class Robots:
             odometry=OdometryEstimator(
                 continues=config.odometry_after_restart == "continue", correction=correction_of(config)
             ),
+            feedback=feedback,
             topics=topics,
             shown=shown,
         )

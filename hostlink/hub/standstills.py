@@ -11,6 +11,7 @@ from hostlink.hub.gates import Gates
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import AnyRobot
 from hostlink.hub.robots import Robots
+from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.standstill import Speeds, Standstill, StandstillState, StopWatch, sentence
 
 WAIT_S = 1.5  # the simulated robot is stopped after 0.2 s, and its odometry shows that 0.4 s later
@@ -42,14 +43,20 @@ class Standstills:
                 for robot, watch in watches:
                     odometry = None if watch.is_standing else robot.measured(now_s)
                     if odometry is not None:  # without odometry, waiting would measure nothing
-                        twist = odometry.twist
-                        watch.observe(Speeds(twist.speed_m_s, twist.yaw_rad_s), now_s - odometry.age_s)
+                        watch.observe(_speeds(odometry), now_s - odometry.age_s)
                         is_awaited |= not watch.is_standing
                 if not is_awaited or now_s >= until_s:
                     return [watch.result(robot.why_moving, robot.why_unknown) for robot, watch in watches]
                 await asyncio.sleep(min(POLL_S, until_s - now_s))
         finally:
             self._watched -= len(robots)
+
+
+def _speeds(odometry: OdometrySnapshot) -> Speeds:
+    twist = odometry.twist
+    if twist is None:
+        return Speeds(is_moving=odometry.is_moving is not False)
+    return Speeds(twist.speed_m_s, twist.yaw_rad_s)
 
 
 class LockServices:

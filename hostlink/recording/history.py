@@ -12,7 +12,8 @@ from hostlink.hub.robot_events import EventKind
 from hostlink.recording.channel import DEVICE, EVENT, NS_PER_S, VELOCITY, Channel, json_of
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose, frame_of, placed
-from hostlink.robot.odometry import READERS, OdometryEstimator
+from hostlink.robot.odometry import OdometryEstimator
+from hostlink.robot.readings import READERS
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
 Sample = TypeVar("Sample")
@@ -121,7 +122,7 @@ class RobotHistory:
                 continue
             estimator.update(reading.pose, now_s=entry.at_s, wall_ns=int(entry.at_s * NS_PER_S), twist=reading.twist)
             snapshot = estimator.snapshot(entry.at_s)
-            if snapshot is not None:
+            if snapshot is not None and snapshot.pose is not None and snapshot.twist is not None:
                 found.append(PastPose(entry.at_s, snapshot.pose, snapshot.twist))
         if present is None or not found:
             return found

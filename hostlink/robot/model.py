@@ -29,18 +29,14 @@ from hostlink.robot.command_types import (
     STRING_TYPE,
     TopicType,
 )
+from hostlink.robot.feedback import recognised
+from hostlink.robot.readings import POSE_TYPES, VELOCITY_TYPES
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 LONGEST_NAME: Final = 64  # characters of a robot's name; names are used in logs, paths and labels
 RESET_TYPE: Final = "std_msgs/Empty"
-ODOMETRY_TYPES: Final = (
-    "geometry_msgs/Pose2D",
-    "nav_msgs/Odometry",
-    "geometry_msgs/PoseStamped",
-    "geometry_msgs/PoseWithCovarianceStamped",
-)  # a board that publishes one of them knows its pose; the likelier first
-_DEFAULT_NAME: Final = "robot"
 _USUAL_NAMES: Final = ("velocity_commands", "cmd_vel")  # the likelier first
+_USUAL_POSES: Final = ("nav_msgs/Odometry", "geometry_msgs/Pose2D")
 _TWISTS: Final = (TWIST_TYPE, TWIST_STAMPED_TYPE)
 _NO_MOTION: Final = frozenset({"std_msgs/Bool", "std_msgs/Empty", "std_msgs/ColorRGBA", "std_msgs/Time"})
 _MOTION: Final = re.compile(r"vel|drive|twist|cmd|motion|move", re.IGNORECASE)
@@ -83,7 +79,7 @@ class CommandSettings(NamedTuple):
 
     kind: CommandKind | None = None  # None: it is recognised
     topics: tuple[str, ...] = ()  # that command it; empty: they are recognised
-    odometry: str | None = None  # the topic of its pose; "": it has none; None: it is recognised
+    odometry: str | None = None  # the topic of its pose or velocity; "": it has none; None: it is recognised
     ignored: frozenset[str] = frozenset()  # topics that command no motion, whatever their name and type
     is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
 
@@ -95,8 +91,8 @@ NO_SETTINGS: Final = CommandSettings()
 class RobotTopicNames:
     """A robot and the topics by which it is driven and read, by one set of names.
 
-    `commands`: its topics to the device, at least one. `odometry` and `odometry_type` are None for a robot that
-    publishes no pose.
+    `commands`: its topics to the device, at least one. `odometry`: topic of its pose, or of its velocity; None: it
+    publishes neither.
     """
 
     name: str
@@ -291,26 +287,34 @@ def _rank(command: Endpoint) -> tuple[int, int]:
 
 
 def _odometry(endpoints: Sequence[Endpoint], velocity: str, settings: CommandSettings) -> Endpoint | None:
-    """Return the pose that a person would choose: in the command's namespace, of a usual name and type."""
-    poses = [each for each in endpoints if _is_pose(each)]
+    """Return the pose that a person would choose: in the command's namespace, of a usual name and type.
+
+    Without a pose, what measures a velocity.
+    """
+    sent = [each for each in endpoints if not each.is_to_device]
     if settings.odometry is not None:
-        return next((each for each in poses if each.name == settings.odometry), None)
+        known = {*POSE_TYPES, *VELOCITY_TYPES}
+        return next((each for each in sent if each.name == settings.odometry and each.type_name in known), None)
     here = namespace_of(velocity)
-    return min(
-        poses,
+    pose = min(
+        filter(_is_pose, sent),
         key=lambda each: (
+            each.type_name not in _USUAL_POSES,
             namespace_of(each.name) != here,
             "odom" not in leaf_of(each.name),
-            ODOMETRY_TYPES.index(each.type_name) > 1,
             each.name,
             each.type_name,
         ),
         default=None,
     )
+    if pose is None:
+        found = recognised((each.name, each.type_name) for each in sent)
+        pose = next((each for each in sent if (each.name, each.type_name) == found), None)
+    return pose
 
 
 def _is_pose(endpoint: Endpoint) -> bool:
-    return not endpoint.is_to_device and endpoint.type_name in ODOMETRY_TYPES
+    return not endpoint.is_to_device and endpoint.type_name in POSE_TYPES
 
 
 def _is_motor(endpoint: Endpoint) -> bool:

@@ -2,13 +2,10 @@
 
 import itertools
 import math
-import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple
 
-from hostlink.errors import BadPayload
 from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, is_near_origin, placed, wrap_angle
 from hostlink.robot.velocity import PlanarVelocity
 
@@ -63,60 +60,7 @@ def wheel_way(before: Pose, after: Pose, separation_m: float) -> WheelWay:
     return WheelWay(arc_m - turning_m, arc_m + turning_m, dy_m * cos - dx_m * sin)
 
 
-POSE_TYPE, ODOMETRY_TYPE = "geometry_msgs/Pose2D", "nav_msgs/Odometry"
-_POSE = struct.Struct("<3d")
-_HEADER = struct.Struct("<4xIII")  # seq, secs, nsecs, length of frame_id
-_LENGTH = struct.Struct("<I")  # of child_frame_id
-_BODY = struct.Struct("<2d8x4d288x2d24xd288x")  # x, y, orientation; linear x, y; angular z; covariances between
 _NS_PER_S = 1_000_000_000
-
-
-class OdometryReading(NamedTuple):
-    """Pose and twist as the device has them; None for what it does not publish."""
-
-    pose: Pose
-    twist: PlanarVelocity | None = None
-    stamp_ns: int | None = None  # by the device's own clock
-
-
-def read_pose(payload: bytes) -> OdometryReading:
-    """Read a geometry_msgs/Pose2D.
-
-    Raises:
-        BadPayload: the payload has another size.
-    """
-    if len(payload) != _POSE.size:
-        raise BadPayload(POSE_TYPE, f"{len(payload)} bytes instead of {_POSE.size}")
-    x_m, y_m, theta_rad = _POSE.unpack(payload)
-    return OdometryReading(Pose(x_m, y_m, wrap_angle(theta_rad)))
-
-
-def read_odometry(payload: bytes) -> OdometryReading:
-    """Read a nav_msgs/Odometry.
-
-    Raises:
-        BadPayload: the payload is not of this type.
-    """
-    try:
-        secs, nsecs, frame_bytes = _HEADER.unpack_from(payload)
-        (child_bytes,) = _LENGTH.unpack_from(payload, _HEADER.size + frame_bytes)
-        body_at = _HEADER.size + frame_bytes + _LENGTH.size + child_bytes
-        x_m, y_m, *orientation, forward_m_s, left_m_s, yaw_rad_s = _BODY.unpack_from(payload, body_at)
-    except struct.error as error:
-        raise BadPayload(ODOMETRY_TYPE, f"{len(payload)} bytes are too few: {error}") from error
-    if len(payload) != body_at + _BODY.size:
-        raise BadPayload(ODOMETRY_TYPE, f"{len(payload)} bytes instead of {body_at + _BODY.size}")
-    pose = Pose(x_m, y_m, _yaw(*orientation))
-    return OdometryReading(pose, PlanarVelocity(forward_m_s, left_m_s, yaw_rad_s), secs * _NS_PER_S + nsecs)
-
-
-READERS: dict[str, Callable[[bytes], OdometryReading]] = {POSE_TYPE: read_pose, ODOMETRY_TYPE: read_odometry}
-
-
-def _yaw(x: float, y: float, z: float, w: float) -> float:
-    """Yaw of a quaternion of any length: some devices do not normalise."""
-    return wrap_angle(math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
-
 
 WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
 CLOSEST_S = 0.005  # of those that are kept of a device that publishes faster
@@ -126,6 +70,7 @@ MAX_BUNCHES, FEWEST_BUNCHES = 8, 2  # of messages, from which their period is me
 BUNCHED = 1.5  # messages a bunch: fewer are single delays
 TOGETHER = 1 / 8  # of the period between two messages of a bunch: a device that leaves some out sends none so close
 LONGEST_S = 2.0  # over a longer silence anything may have happened, a restart too
+KEPT_RATE_S = 1.0  # odometry is published ten times a second and more, and a radio delays it
 RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be commanded, and what a late pose adds
 SHAKE_M = 0.02
 SHAKE_RAD = 0.05
@@ -140,16 +85,30 @@ FASTEST = PlanarVelocity(1.0, yaw_rad_s=4.0)  # the limits of a robot without co
 
 @dataclass(frozen=True, slots=True)
 class OdometrySnapshot:
-    """The newest pose and the motion over the last few, at one moment."""
+    """The newest pose and the motion over the last few, at one moment.
 
-    pose: Pose
-    twist: PlanarVelocity
+    What the robot's feedback does not tell is None. One of `pose`, `twist` and `is_moving` is known.
+    """
+
+    pose: Pose | None
+    twist: PlanarVelocity | None
     stamp_ns: int
     age_s: float
     rate_hz: float
     count: int
     restarts: int
     ignored: int
+    is_moving: bool | None = None  # None: the twist says it
+
+
+def aged_rate_hz(rate_hz: float, age_s: float) -> float:
+    """The rate of messages of which the newest is this old: since then none has come.
+
+    A radio delivers messages in bunches: a rate is believed for KEPT_RATE_S.
+    """
+    if age_s > LONGEST_S:
+        return 0.0
+    return rate_hz if age_s <= KEPT_RATE_S else min(rate_hz, 1 / age_s)
 
 
 class _Sample(NamedTuple):
@@ -233,14 +192,16 @@ class OdometryEstimator:
     that was requested begins at the origin in any case. One pose that is far from all others is damage that the
     checksum let pass; a second one there is believed.
 
+    A device that publishes only its velocity, or only whether it moves, has no pose.
+
     With a `correction`, each motion between two poses is shown as the robot truly made it; the checks
     apply to the device's own values.
     """
 
     __slots__ = (
-        "_arrived_s", "_back_at_once", "_continues", "_correction", "_doubtful", "_fastest", "_frame", "_newest",
-        "_reset_until_s", "_send_times", "_small_m", "_small_rad", "_stamp_ns", "_twist", "_window", "count", "ignored",
-        "is_differential", "restarts",
+        "_arrived_s", "_back_at_once", "_continues", "_correction", "_doubtful", "_fastest", "_frame", "_has_pose",
+        "_is_moving", "_newest", "_reset_until_s", "_send_times", "_small_m", "_small_rad", "_stamp_ns", "_twist",
+        "_window", "count", "ignored", "is_differential", "restarts",
     )  # fmt: skip
 
     def __init__(
@@ -267,6 +228,8 @@ class OdometryEstimator:
         self._reset_until_s = float("-inf")
         self._twist: PlanarVelocity | None = None  # as the device publishes it; None: it publishes only poses
         self._stamp_ns = 0
+        self._has_pose = False
+        self._is_moving: bool | None = None
         self._window: list[_Sample] = []
         self._send_times = SendTimes()
         self._arrived_s = 0.0
@@ -293,38 +256,49 @@ class OdometryEstimator:
 
     def update(
         self,
-        pose: Pose,
+        pose: Pose | None,
         *,
         now_s: float,
         wall_ns: int,
         twist: PlanarVelocity | None = None,
         is_stamped: bool = False,
+        is_moving: bool | None = None,
     ) -> None:
-        """Add a pose; one that cannot be true is not counted.
+        """Add a reading; one that cannot be true is not counted.
 
-        `wall_ns` is its arrival, or if it `is_stamped` the time of the device's own stamp.
+        `wall_ns` is its arrival, or if it `is_stamped` the time of the device's own stamp. After a first pose, readings
+        without one are ignored: the last good pose ages.
         """
+        twist = twist if twist is not None and twist.is_finite else None
+        if pose is None and (self._has_pose or (twist is None and is_moving is None)):
+            self.ignored += 1
+            return
         sent_s = self._send_times.add(now_s)
-        new = _Sample(now_s, self.count + 1, pose)
-        if self._is_small_motion(new):
+        new = _Sample(now_s, self.count + 1, _ORIGIN if pose is None else pose)
+        if pose is None:
+            pass
+        elif self._is_small_motion(new):
             if self._correction is not None:
                 self._correct(self._correction, new)
         elif not (_is_possible(pose) and self._place(new)):
             self.ignored += 1
             return
+        elif not self._has_pose:
+            self._has_pose = True
+            self._window.clear()
         self.count += 1
         window = self._window
         is_close = len(window) > 1 and sent_s - window[-2].at_s < CLOSEST_S
         if is_close or (window and window[-1].at_s == sent_s):
             window.pop()
-        is_framed = self._frame is not _NO_FRAME
-        window.append(_Sample(sent_s, self.count, placed(self._frame, pose) if is_framed else pose))
+        is_framed = pose is not None and self._frame is not _NO_FRAME
+        window.append(_Sample(sent_s, self.count, placed(self._frame, new.pose) if is_framed else new.pose))
         while len(window) > 1 and window[1].at_s <= sent_s - WINDOW_S:
             del window[0]
-        self._newest, self._arrived_s = new, now_s
+        self._newest, self._arrived_s = None if pose is None else new, now_s
         if not is_stamped and sent_s < now_s:
             wall_ns -= round((now_s - sent_s) * _NS_PER_S)
-        self._twist = self._true_twist(twist) if twist is not None and twist.is_finite else None
+        self._twist, self._is_moving = None if twist is None else self._true_twist(twist), is_moving
         if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:
             self._stamp_ns = wall_ns
 
@@ -351,13 +325,15 @@ class OdometryEstimator:
         if not self._window:
             return None
         first, last = self._window[0], self._window[-1]
-        span_s = last.at_s - first.at_s
+        span_s, age_s = last.at_s - first.at_s, now_s - self._arrived_s
+        rate_hz = (last.number - first.number) / span_s if span_s >= SHORTEST_S else 0.0
         return OdometrySnapshot(
-            pose=last.pose,
-            twist=self._twist or self._estimate(),
+            pose=last.pose if self._has_pose else None,
+            twist=self._twist or (self._estimate() if self._has_pose else None),
+            is_moving=self._is_moving,
             stamp_ns=self._stamp_ns,
-            age_s=now_s - self._arrived_s,
-            rate_hz=(last.number - first.number) / span_s if span_s >= SHORTEST_S else 0.0,
+            age_s=age_s,
+            rate_hz=aged_rate_hz(rate_hz, age_s),
             count=self.count,
             restarts=self.restarts,
             ignored=self.ignored,

@@ -31,7 +31,7 @@ class StandstillState(StrEnum):
 class Standstill(NamedTuple):
     """Measured motion. `after_s` is when the robot was first stopped; `reason` is empty if it is stopped.
 
-    The speeds are the newest; None: no odometry came since the stop.
+    The speeds are the newest; None: no odometry came since the stop, or it tells only whether the robot moves.
     """
 
     state: StandstillState
@@ -42,23 +42,29 @@ class Standstill(NamedTuple):
 
 
 class Speeds(NamedTuple):
-    """Speeds of a robot, along its path and around its axis."""
+    """Speeds of a robot, along its path and around its axis; None if only `is_moving` is known."""
 
-    speed_m_s: float
-    turn_rad_s: float
+    speed_m_s: float | None = None
+    turn_rad_s: float | None = None
+    is_moving: bool = True
 
     @property
     def are_still(self) -> bool:
         """Whether this motion is only noise."""
+        if self.speed_m_s is None or self.turn_rad_s is None:
+            return not self.is_moving
         return abs(self.speed_m_s) <= STILL_M_S and abs(self.turn_rad_s) <= STILL_RAD_S
 
 
 def sentence(robot: str, measured: Standstill) -> str:
     """Measurement as a sentence for people."""
     if measured.state is StandstillState.STOPPED:
-        return f"{robot} is stopped ({abs(measured.speed_m_s or 0.0):.2f} m/s after {measured.after_s or 0.0:.1f} s)"
+        speed = "" if measured.speed_m_s is None else f"{abs(measured.speed_m_s):.2f} m/s "
+        return f"{robot} is stopped ({speed}after {measured.after_s or 0.0:.1f} s)"
     if measured.state is StandstillState.UNKNOWN:
         return f"{robot}: it is not known whether it is stopped: {measured.reason}"
+    if measured.speed_m_s is None:
+        return f"{robot} still moves: {measured.reason}"
     speed_m_s, turn_rad_s = abs(measured.speed_m_s or 0.0), abs(measured.turn_rad_s or 0.0)
     motion = f"moves at {speed_m_s:.2f} m/s" if speed_m_s > STILL_M_S else f"turns at {turn_rad_s:.2f} rad/s"
     return f"{robot} still {motion}: {measured.reason}"
@@ -93,11 +99,11 @@ class StopWatch:
         if self._newest is None:
             return Standstill(StandstillState.UNKNOWN, reason=why_unknown())
         if self._still_since_s is None:
-            return Standstill(StandstillState.MOVING, *self._newest, reason=why_moving())
+            return Standstill(StandstillState.MOVING, *self._newest[:2], reason=why_moving())
         if not self.is_standing:
             reason = "too little odometry has come since the stop"
-            return Standstill(StandstillState.UNKNOWN, *self._newest, reason=reason)
-        return Standstill(StandstillState.STOPPED, *self._newest, after_s=self._still_since_s - self._began_s)
+            return Standstill(StandstillState.UNKNOWN, *self._newest[:2], reason=reason)
+        return Standstill(StandstillState.STOPPED, *self._newest[:2], after_s=self._still_since_s - self._began_s)
 
 
 class DriveWatch:

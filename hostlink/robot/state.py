@@ -11,6 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
+from hostlink.robot.feedback import FeedbackKind
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, PlanarVelocity
 
@@ -37,6 +38,7 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     frames: int | None = None  # that its device has sent on this link; None for a robot of another daemon
     velocity_topic: TopicName
     command_type: TypeName = TWIST_TYPE  # of its velocity topic
+    feedback: FeedbackKind = FeedbackKind.POSE  # what is known of its motion
     odometry_topic: TopicName | None = None
     odometry_type: TypeName | None = None
     reset_topic: TopicName | None = None

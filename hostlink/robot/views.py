@@ -20,10 +20,15 @@ class PoseView(TypedDict):
 
 
 class OdometryView(TypedDict):
-    """The newest pose, and the motion over the last poses."""
+    """The newest pose, and the motion over the last poses.
 
-    pose: PoseView
-    twist: VelocityView
+    pose, twist: null if the robot's feedback does not tell it.
+    is_moving: of a robot whose feedback tells only that; else null.
+    """
+
+    pose: PoseView | None
+    twist: VelocityView | None
+    is_moving: bool | None
     stamp_ns: int
     age_s: float
     rate_hz: float
@@ -36,8 +41,8 @@ class RobotView(TypedDict):
     """One robot: its topics, its driver, its velocity, its odometry, its device.
 
     holder_address: address of the driver's connection; null: no driver, a part of a daemon, or at another daemon.
-    command_type: type of velocity_topic. odometry_topic: null: the device publishes no pose, so that nobody can say
-    whether it is stopped. played: the device is a recording that is played, which obeys no command. unreachable: why
+    command_type: type of velocity_topic. feedback: what is known of its motion: pose, velocity, motion (whether it moves)
+    or none. odometry_topic: null: the device publishes neither pose nor velocity. played: the device is a recording that is played, which obeys no command. unreachable: why
     the device could not receive the last velocity; null: it could. host: the daemon that has its link; null: this one.
     also_at: other daemons with a robot of this name. wheel_separation_m, kinematics: as configured. frames: number
     that the device has sent on this link, so that a reader notices silence; null: not connected, or at another daemon.
@@ -55,6 +60,7 @@ class RobotView(TypedDict):
     frames: int | None
     velocity_topic: str
     command_type: str
+    feedback: str
     odometry_topic: str | None
     played: bool
     holder: str | None

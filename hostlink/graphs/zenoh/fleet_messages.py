@@ -84,7 +84,10 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     linear_y_m_s: float = 0.0
 
     @classmethod
-    def of(cls, known: OdometrySnapshot) -> "PoseState":
+    def of(cls, known: OdometrySnapshot) -> "PoseState | None":
+        """Return the message; None without a velocity: older daemons would take its absence for a standstill."""
+        if known.pose is None or known.twist is None:
+            return None
         return cls(
             x_m=round(known.pose.x_m, _DIGITS),
             y_m=round(known.pose.y_m, _DIGITS),

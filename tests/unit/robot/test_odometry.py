@@ -18,6 +18,7 @@ from hostlink.robot.odometry import (
     OdometryEstimator,
     OdometrySnapshot,
     SendTimes,
+    aged_rate_hz,
 )
 from hostlink.robot.velocity import PlanarVelocity
 
@@ -442,3 +443,57 @@ def test_another_has_the_same_settings_and_no_pose() -> None:
     other = view.anew()
     assert (other._continues, other._fastest) == (True, slow)
     assert other.snapshot(0.0) is None
+
+
+# -- devices that know less than a pose -------------------------------------------------------------------------------
+
+
+def test_velocities_alone_are_a_motion_without_a_pose() -> None:
+    view = OdometryEstimator()
+    for number in range(8):
+        view.update(None, now_s=number * PERIOD_S, wall_ns=number, twist=PlanarVelocity(0.2))
+    found = observed(view, 0.75)
+    assert (found.pose, found.twist, found.is_moving, found.count) == (None, PlanarVelocity(0.2), None, 8)
+    assert found.rate_hz == pytest.approx(10.0)
+
+
+def test_moves_or_stands_alone_has_neither_pose_nor_velocity() -> None:
+    view = OdometryEstimator()
+    for is_moving in (True, False):
+        view.update(None, now_s=0.0, wall_ns=0, is_moving=is_moving)
+        found = observed(view, 0.1)
+        assert (found.pose, found.twist, found.is_moving) == (None, None, is_moving)
+
+
+@pytest.mark.parametrize("twist", [None, PlanarVelocity(math.nan)])
+def test_reading_of_nothing_is_ignored(twist: PlanarVelocity | None) -> None:
+    view = OdometryEstimator()
+    view.update(None, now_s=0.0, wall_ns=0, twist=twist)
+    assert (view.snapshot(0.0), view.count, view.ignored) == (None, 0, 1)
+
+
+def test_after_a_pose_readings_without_one_do_not_renew_it() -> None:
+    view = view_of([Pose(1.0), Pose(1.02)])
+    view.update(None, now_s=0.2, wall_ns=0, twist=PlanarVelocity(0.2))
+    found = observed(view, 0.6)
+    assert (found.pose, found.age_s, found.ignored) == (Pose(1.02), pytest.approx(0.5), 1)
+
+
+def test_first_pose_after_velocities_begins_the_window() -> None:
+    view = OdometryEstimator()
+    view.update(None, now_s=0.0, wall_ns=0, twist=PlanarVelocity(0.2))
+    view.update(Pose(5.0), now_s=0.1, wall_ns=0)
+    view.update(Pose(5.02), now_s=0.2, wall_ns=0)
+    found = observed(view, 0.2)
+    assert (found.pose, found.twist) == (Pose(5.02), pytest.approx(PlanarVelocity(0.2)))
+
+
+@pytest.mark.parametrize(("age_s", "rate_hz"), [(0.0, 10.0), (1.0, 10.0), (1.25, 0.8), (2.1, 0.0), (6.12, 0.0)])
+def test_rate_of_poses_that_no_longer_come_ages(age_s: float, rate_hz: float) -> None:
+    view = view_of([Pose(0.01 * number) for number in range(10)])
+    assert observed(view, 0.9 + age_s).rate_hz == pytest.approx(rate_hz)
+
+
+def test_rate_of_a_slow_device_is_its_own_until_the_next_message_is_late() -> None:
+    assert aged_rate_hz(0.6, 1.5) == 0.6
+    assert aged_rate_hz(0.6, 1.9) == pytest.approx(1 / 1.9)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from hostlink.errors import BadPayload
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry import ODOMETRY_TYPE, POSE_TYPE, READERS, OdometryEstimator, OdometryReading
+from hostlink.robot.odometry import OdometryEstimator
+from hostlink.robot.readings import ODOMETRY_TYPE, POSE_TYPE, READERS, Flaw, OdometryReading
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import message_type
 
@@ -42,9 +43,9 @@ def test_a_pose2d_is_wrapped_and_has_neither_twist_nor_stamp() -> None:
     assert (reading.twist, reading.stamp_ns) == (None, None)
 
 
-@pytest.mark.parametrize("length", [1.0, 0.5])
+@pytest.mark.parametrize("length", [1.0, 0.95])
 @pytest.mark.parametrize("yaw_rad", [0.0, 1.0, -3.0, math.pi])
-def test_an_odometry_has_pose_and_twist_also_with_a_quaternion_of_any_length(yaw_rad: float, length: float) -> None:
+def test_an_odometry_has_pose_and_twist_also_with_a_rounded_quaternion(yaw_rad: float, length: float) -> None:
     reading = read(ODOMETRY_TYPE, odometry(yaw_rad, PlanarVelocity(0.2, 0.1, -0.4), length))
     assert reading.pose == pytest.approx(Pose(1.0, 2.0, yaw_rad))
     assert reading.twist == PlanarVelocity(0.2, 0.1, -0.4)
@@ -68,10 +69,14 @@ def test_an_odometry_is_read_as_the_full_decode_has_it(
         "twist": {"twist": {"linear": linear, "angular": angular}, "covariance": [0.25] * 36},
     }
     reading = read(ODOMETRY_TYPE, message)
-    found = (reading.pose.x_m, reading.pose.y_m, *reading.twist)
-    assert repr(found) == repr(
-        (numbers[0], numbers[1], numbers[7], numbers[8], numbers[10])
-    )  # NaN does not equal itself
+    if reading.pose is None:
+        assert set(reading.flaws) & {
+            Flaw.NOT_FINITE, Flaw.ZERO_QUATERNION, Flaw.HEADING_IN_Z, Flaw.BAD_QUATERNION,
+        }  # fmt: skip
+    else:
+        assert reading.pose[:2] == (numbers[0], numbers[1])
+    twist = (numbers[7], numbers[8], numbers[10])
+    assert reading.twist == (twist if all(map(math.isfinite, twist)) else None)
     assert reading.stamp_ns == secs * 1_000_000_000 + nsecs
     estimator = updated(reading)
     assert estimator.count == 1 or estimator.snapshot(0.0) is None

@@ -6,6 +6,7 @@ import math
 import pytest
 
 from hostlink.graphs.zenoh.fleet_messages import STATE, RobotMessage, State, encode
+from hostlink.robot.feedback import FeedbackKind
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.state import BATTERY_TYPE, DEVICE_AWAY, BatteryReading, RobotState, read_battery
@@ -21,6 +22,7 @@ EVERYTHING = RobotState(
     frames=7,
     velocity_topic="/robot_0/cmd_vel",
     command_type="geometry_msgs/TwistStamped",
+    feedback=FeedbackKind.VELOCITY,
     odometry_topic="/robot_0/odom",
     odometry_type="geometry_msgs/Pose2D",
     reset_topic="/robot_0/reset",
