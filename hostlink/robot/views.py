@@ -41,14 +41,15 @@ class RobotView(TypedDict):
     """One robot: its topics, its driver, its velocity, its odometry, its device.
 
     holder_address: address of the driver's connection; null: no driver, a part of a daemon, or at another daemon.
-    command_type: type of velocity_topic. feedback: what is known of its motion: pose, velocity, motion (whether it moves)
-    or none. odometry_topic: null: the device publishes neither pose nor velocity. played: the device is a recording that is played, which obeys no command. unreachable: why
-    the device could not receive the last velocity; null: it could. host: the daemon that has its link; null: this one.
-    also_at: other daemons with a robot of this name. wheel_separation_m, kinematics: as configured. frames: number
-    that the device has sent on this link, so that a reader notices silence; null: not connected, or at another daemon.
-    epoch: number of interruptions: stops, locks, reconnections. battery_v, battery_percent: newest values that the
-    device has sent on this link; null: it sends none. signal_dbm: WiFi signal of the device; null: it does not report
-    it. device_errors: codes of what `hostlink doctor` finds wrong with the device, the most likely cause first.
+    command_type: type of velocity_topic. feedback: what is known of its motion: pose, velocity, motion (whether it
+    moves) or none. odometry_topic: null: the device publishes neither pose nor velocity. played: the device is a
+    recording that is played, which obeys no command. unreachable: why the device could not receive the last
+    velocity; null: it could. host: the daemon that has its link; null: this one. also_at: other daemons with a
+    robot of this name. wheel_separation_m, kinematics: as configured. frames: number that the device has sent on
+    this link, so that a reader notices silence; null: not connected, or at another daemon. epoch: number of
+    interruptions: stops, locks, reconnections. battery_v, battery_percent: newest values that the device has sent
+    on this link; null: it sends none. signal_dbm: WiFi signal of the device; null: it does not report it.
+    device_errors: codes of what `hostlink doctor` finds wrong with the device, the most likely cause first.
     firmware: name and version in the device's log; null: it logs none.
     """
 
