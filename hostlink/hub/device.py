@@ -27,7 +27,7 @@ from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
 from hostlink.robot.names import Presence, RobotTopicNames
 from hostlink.robot.state import BATTERY_TYPE
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, Twist
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
 
 if TYPE_CHECKING:
@@ -315,7 +315,7 @@ class Device:
         """
         if robot is None:
             shown = self.shown.of(info.name)
-            admission = Admission(shown, kinematics=Kinematics.SPATIAL)
+            admission = Admission(shown, drive=None)
             spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
             return Drivable(name=shown, velocity_topic=info.name, gate=spatial, gates=self._hub.gates)
         gate = VelocityGate(robot.gate.admission, limits_of(robot.config), ZERO)

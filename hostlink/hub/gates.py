@@ -44,7 +44,6 @@ from hostlink.robot.velocity import (
     TWIST_TYPE,
     ZERO,
     AnyVelocity,
-    Kinematics,
     PlanarVelocity,
     Twist,
 )
@@ -148,7 +147,7 @@ class VelocityTarget(ABC):
             stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
         else:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
-        is_spatial = self.admission.kinematics is Kinematics.SPATIAL
+        is_spatial = self.admission.drive is None
         velocity: PlanarVelocity | Twist = twist if is_spatial else twist.planar
         command: Command[Any] = Command(
             velocity,

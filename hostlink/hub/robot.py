@@ -24,6 +24,7 @@ from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, Command
+from hostlink.robot.kinematics import SETTINGS, Drive, drive_of
 from hostlink.robot.names import SURE_S, RobotTopicNames
 from hostlink.robot.odometry import READERS, OdometryCorrection, OdometryEstimator, OdometrySnapshot
 from hostlink.robot.standstill import OLD_S
@@ -35,7 +36,9 @@ log = structlog.get_logger()
 
 
 _DEFAULTS = RobotConfig()
-LIMITS = tuple(each.name for each in dataclasses.fields(Limits) if each.init)  # settings of a robot have the same names
+LIMITS = tuple(  # settings of a robot have the same names
+    each.name for each in dataclasses.fields(Limits) if each.init and each.name != "drive"
+)
 
 
 def of_namesake(config: RobotConfig | None) -> RobotConfig:
@@ -62,14 +65,28 @@ def correction_of(config: RobotConfig) -> OdometryCorrection | None:
     return OdometryCorrection(**dataclasses.asdict(calibration))
 
 
-@functools.lru_cache(maxsize=256)  # most robots have the same settings
-def limits_of(config: RobotConfig) -> Limits:
-    """Return the limits of a robot's gate.
+def drive_in(config: RobotConfig) -> Drive:
+    """Return the drive of a robot.
 
     Raises:
-        ConfigError: a limit is invalid.
+        ConfigError: a dimension is invalid.
     """
-    return Limits(**{name: getattr(config, name) for name in LIMITS})
+    return _drive_of(config.kinematics, tuple([getattr(config, name) for name in SETTINGS]))
+
+
+@functools.lru_cache(maxsize=256)
+def _drive_of(kinematics: str, dimensions: tuple[Any, ...]) -> Drive:
+    return drive_of(kinematics, dict(zip(SETTINGS, dimensions, strict=True)))
+
+
+@functools.lru_cache(maxsize=256)  # most robots have the same settings
+def limits_of(config: RobotConfig) -> Limits:
+    """Return the limits of a robot's gate, with its drive.
+
+    Raises:
+        ConfigError: a limit or a dimension of the drive is invalid.
+    """
+    return Limits(**{name: getattr(config, name) for name in LIMITS}, drive=drive_in(config))
 
 
 LOCK_REASON = "emergency stop"  # default

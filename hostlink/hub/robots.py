@@ -22,7 +22,7 @@ from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
 from hostlink.robot.names import RobotTopicNames
 from hostlink.robot.odometry import OdometryEstimator
-from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate
 
 if TYPE_CHECKING:
@@ -380,9 +380,10 @@ def _configure(robot: LocalRobot) -> None:
     """Apply the settings that a reload may change."""
     config, admission, odometry = robot.config, robot.admission, robot.odometry
     admission.resume_after_reconnect_s = config.resume_after_reconnect_s
-    admission.kinematics = Kinematics(config.kinematics)
+    limits = limits_of(config)
+    admission.drive = limits.drive
     admission.max_stamp_age_s = math.inf if config.cmd_vel_max_age_s is None else config.cmd_vel_max_age_s
-    odometry.is_differential = admission.kinematics is Kinematics.DIFFERENTIAL
+    odometry.is_differential = not limits.drive.has_y
     odometry.change_fastest(PlanarVelocity(config.max_linear_m_s, yaw_rad_s=config.max_angular_rad_s))
     for drivable in robot.beside:
-        drivable.gate.change_limits(limits_of(config))
+        drivable.gate.change_limits(limits)
