@@ -293,15 +293,18 @@ class RobotConfig:
 
     address: str | None = None  # peer address or serial port of its device
     uart_bytes_s: int | None = None
-    # A differential drive refuses linear.y; "": it is limited and passed; "spatial": all six numbers pass.
-    kinematics: Literal["", "differential", "spatial"] = ""
-    wheel_separation_m: float | None = None
+    # The drive (robot/kinematics): it refuses velocities that it cannot have. "": planar, which takes every velocity.
+    # "spatial": all six numbers of a Twist pass; it is no robot of the plane, but it is stopped and locked.
+    kinematics: Literal[
+        "", "planar", "differential", "skid_steer", "mecanum", "omni3", "omni4", "ackermann", "spatial"
+    ] = ""
     wheel_radius_m: float | None = None
-    wheelbase_m: float | None = None
+    wheel_separation_m: float | None = None  # between left and right wheels
+    separation_factor: float | None = None  # skid_steer: effective separation divided by that of the wheels; None: 1
+    wheelbase_m: float | None = None  # between front and rear axle; None: ackermann has that of a small car
     max_steering_rad: float | None = None
-    separation_factor: float | None = None
-    wheel_distance_m: float | None = None
-    wheel_angles_deg: tuple[float, ...] | None = None
+    wheel_distance_m: float | None = None  # omni: from the centre to each wheel
+    wheel_angles_deg: tuple[float, ...] | None = None  # omni: place of each wheel, counter-clockwise from the front
     max_wheel_m_s: float | None = None
     max_linear_m_s: float = 1.0  # for a small robot; a faster one needs its own setting
     max_angular_rad_s: float = 4.0

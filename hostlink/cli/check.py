@@ -23,7 +23,7 @@ from hostlink.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter
-from hostlink.hub.robot import frames_of
+from hostlink.hub.robot import drive_in, frames_of
 from hostlink.hub.topic_graph import resolve
 from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor
 from hostlink.listening import close_all, spelled
@@ -31,6 +31,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_parameter
 from hostlink.recording.folder import default_folder
 from hostlink.recording.owner import owner_of
+from hostlink.robot.kinematics import SETTINGS, AckermannDrive
 from hostlink.transport.serial import find_port
 from hostlink.transport.udp import serve_udp
 
@@ -183,6 +184,14 @@ def _check_values(config: Config) -> None:
     for where, number in _positive(config):
         if number is not None and not 0 < number < math.inf:
             raise ConfigError(where, f"{number:g} is not allowed; choose a finite number above 0")
+    for robot, settings in config.robots.items():
+        try:
+            drive_in(settings)
+        except ConfigError as error:
+            raise ConfigError(f"robots.{robot}", error.problem) from error
+
+
+_POSITIVE = ("uart_bytes_s", "wheel_radius_m", "cmd_vel_max_age_s")
 
 
 def _positive(config: Config) -> Iterator[tuple[str, float | None]]:
@@ -193,7 +202,7 @@ def _positive(config: Config) -> Iterator[tuple[str, float | None]]:
         yield f"serial {port.name}.baud_try_s", port.baud_try_s
         yield from ((f"serial {port.name}.baud", baud) for baud in port.bauds)
     for robot, settings in config.robots.items():
-        for name in ("uart_bytes_s", "wheel_separation_m", "cmd_vel_max_age_s"):
+        for name in (*_POSITIVE, *(each for each in SETTINGS if each != "wheel_angles_deg")):
             yield f"robots.{robot}.{name}", getattr(settings, name)
 
 
@@ -286,6 +295,19 @@ def _shared_frames(config: Config) -> Iterator[str]:
             yield f"{where} and {owners[frame]} are the same frame, {frame}; give each its own name"
 
 
+_WHEEL_SETTINGS = {  # dimensions without which the wheels' speeds are not known
+    "": ("wheel_separation_m",),
+    "planar": ("wheel_separation_m",),
+    "differential": ("wheel_separation_m",),
+    "skid_steer": ("wheel_separation_m",),
+    "mecanum": ("wheel_separation_m", "wheelbase_m"),
+    "omni3": ("wheel_distance_m",),
+    "omni4": ("wheel_distance_m",),
+    "ackermann": ("wheel_separation_m",),
+}
+_USUAL_CAR = AckermannDrive()
+
+
 def _suspicious_robots(config: Config) -> Iterator[str]:
     ports = {port.name for port in config.serial}
     by_address: dict[str, str] = {}
@@ -293,8 +315,15 @@ def _suspicious_robots(config: Config) -> Iterator[str]:
         where = f"robots.{name}"
         if not _ROS_NAME.fullmatch(name):
             yield f"{where}: ROS programs cannot use this name; use letters, digits, _ and /, with a letter first"
-        if robot.max_wheel_m_s is not None and robot.wheel_separation_m is None:
-            yield f"{where}.max_wheel_m_s needs wheel_separation_m, without which turns are not limited"
+        if robot.max_wheel_m_s is not None:
+            needed = [each for each in _WHEEL_SETTINGS[robot.kinematics] if getattr(robot, each) is None]
+            if needed:
+                yield f"{where}.max_wheel_m_s needs {' and '.join(needed)}, without which turns are not limited"
+        if robot.kinematics == "ackermann" and None in (robot.wheelbase_m, robot.max_steering_rad):
+            yield (
+                f"{where}: measure the car for wheelbase_m and max_steering_rad, with which it steers; without them it "
+                f"is one of {_USUAL_CAR.wheelbase_m:g} m and {_USUAL_CAR.max_steering_rad:g} rad"
+            )
         if robot.address is None:
             continue
         if robot.address in by_address:

@@ -31,7 +31,7 @@ from hostlink.robot.command_types import FixedZero, TopicType
 from hostlink.robot.model import NO_SETTINGS, Endpoint, RobotTopicNames, is_velocity
 from hostlink.robot.names import Presence
 from hostlink.robot.state import BATTERY_TYPE
-from hostlink.robot.velocity import ZERO, Kinematics, Twist
+from hostlink.robot.velocity import ZERO, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
 
 if TYPE_CHECKING:
@@ -338,11 +338,11 @@ class Device:
         topic = TopicType(info.name, info.type)
         if robot is None:
             shown = self.shown.of(info.name)
-            admission = Admission(shown, kinematics=Kinematics.SPATIAL)
+            admission = Admission(shown, drive=None)
             spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
             commands = commands_of((topic,), RobotConfig())
             return Drivable(name=shown, commands=commands, gate=spatial, gates=self._hub.gates)
-        gate = VelocityGate(robot.gate.admission, limits_of(robot.config), ZERO)
+        gate = VelocityGate(robot.gate.admission, limits_of(robot.config, robot.topics.commands), ZERO)
         commands = commands_of((topic,), robot.config, frame_id=robot.frames.base)
         return Drivable(name=robot.name, commands=commands, gate=gate, gates=self._hub.gates)
 

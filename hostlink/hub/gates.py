@@ -40,7 +40,7 @@ from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import STOP_REQUEST, encode
 from hostlink.robot.admission import LEASE_S, Admission, Command, named
 from hostlink.robot.command_types import CommandType, Published, decode_twist
-from hostlink.robot.velocity import ZERO, AnyVelocity, Kinematics, PlanarVelocity, Twist
+from hostlink.robot.velocity import ZERO, AnyVelocity, PlanarVelocity, Twist
 from hostlink.robot.velocity_gate import EndedLease, V, VelocityGate
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ class VelocityTarget(ABC):
         """
         twist, stamp_ns = self.decode(message)
         stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
-        is_spatial = self.admission.kinematics is Kinematics.SPATIAL
+        is_spatial = self.admission.drive is None
         velocity: PlanarVelocity | Twist = twist if is_spatial else twist.planar
         command: Command[Any] = Command(
             velocity,

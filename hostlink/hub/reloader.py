@@ -15,10 +15,11 @@ from hostlink.detached import DetachedThread
 from hostlink.errors import HostlinkError, ReloadRefused
 from hostlink.hub.hub import Hub, places_of
 from hostlink.hub.robot import LIMITS
+from hostlink.robot.kinematics import SETTINGS
 
 log = structlog.get_logger()
 
-ROBOT = ("address", "kinematics", *LIMITS)
+ROBOT = ("address", "kinematics", "wheel_radius_m", *SETTINGS, *LIMITS)
 API = ("tokens", "origins")
 
 

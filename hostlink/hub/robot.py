@@ -54,7 +54,11 @@ log = structlog.get_logger()
 
 
 _DEFAULTS = RobotConfig()
-LIMITS = tuple(each.name for each in dataclasses.fields(Limits) if each.init)  # settings of a robot have the same names
+_TWO_SIDES = ("differential", "skid_steer")
+USUAL_SEPARATION_M = 0.2  # of wheels that are driven one by one, and whose separation is not configured
+LIMITS = tuple(  # settings of a robot have the same names
+    each.name for each in dataclasses.fields(Limits) if each.init and each.name != "drive"
+)
 
 
 def of_namesake(config: RobotConfig | None) -> RobotConfig:
@@ -81,14 +85,36 @@ def correction_of(config: RobotConfig) -> OdometryCorrection | None:
     return OdometryCorrection(**dataclasses.asdict(calibration))
 
 
-@functools.lru_cache(maxsize=256)  # most robots have the same settings
-def limits_of(config: RobotConfig) -> Limits:
-    """Return the limits of a robot's gate.
+def drive_in(config: RobotConfig, commands: Sequence[TopicType] = ()) -> Drive:
+    """Return the drive of a robot: as configured, otherwise as its command needs it.
 
     Raises:
-        ConfigError: a limit is invalid.
+        ConfigError: a dimension is invalid.
     """
-    return Limits(**{name: getattr(config, name) for name in LIMITS})
+    kinematics: str = config.kinematics
+    if kinematics == "" and any(topic.type_name in ACKERMANN_TYPES for topic in commands):
+        kinematics = "ackermann"
+    elif kinematics == "" and (config.wheels is not None or config.encoders is not None):
+        kinematics = "differential"
+    dimensions = {name: getattr(config, name) for name in DIMENSIONS}
+    if config.wheels is not None and kinematics in _TWO_SIDES and dimensions["wheel_separation_m"] is None:
+        dimensions["wheel_separation_m"] = USUAL_SEPARATION_M
+    return _drive_of(kinematics, tuple(dimensions.values()))
+
+
+@functools.lru_cache(maxsize=256)
+def _drive_of(kinematics: str, dimensions: tuple[Any, ...]) -> Drive:
+    return drive_of(kinematics, dict(zip(DIMENSIONS, dimensions, strict=True)))
+
+
+@functools.lru_cache(maxsize=256)  # most robots have the same settings
+def limits_of(config: RobotConfig, commands: tuple[TopicType, ...] = ()) -> Limits:
+    """Return the limits of a robot's gate, with its drive.
+
+    Raises:
+        ConfigError: a limit or a dimension of the drive is invalid.
+    """
+    return Limits(**{name: getattr(config, name) for name in LIMITS}, drive=drive_in(config, commands))
 
 
 def frames_of(name: str, config: RobotConfig) -> FrameIds:
@@ -110,20 +136,6 @@ def command_settings(config: RobotConfig) -> CommandSettings:
         topics = (config.command_topic,)
     is_spatial = config.kinematics == "spatial"
     return CommandSettings(kind, topics, config.odometry_topic, frozenset(config.not_commands), is_spatial)
-
-
-def drive_for(config: RobotConfig, topics: Sequence[TopicType]) -> Drive:
-    """Return the drive of a robot: as configured, otherwise as its command needs it.
-
-    Raises:
-        ConfigError: a dimension is invalid.
-    """
-    kinematics: str = config.kinematics
-    if kinematics == "" and topics[0].type_name in ACKERMANN_TYPES:
-        kinematics = "ackermann"
-    elif kinematics == "" and (config.wheels is not None or config.encoders is not None):
-        kinematics = "differential"
-    return drive_of(kinematics, {name: getattr(config, name) for name in DIMENSIONS})
 
 
 def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[WheelScale]:
@@ -159,7 +171,7 @@ def feedback_of(topics: RobotTopicNames, sent: Iterable[TopicType], config: Robo
         fields = dataclasses.asdict(config.encoders)
         encoders = WheelSettings(**fields, wheel_radius_m=config.wheel_radius_m)
     settings = FeedbackSettings(topic=topics.odometry or "", encoders=encoders)
-    return Feedback(sent, settings, drive_for(config, topics.commands))
+    return Feedback(sent, settings, drive_in(config, topics.commands))
 
 
 def commands_of(
@@ -171,7 +183,7 @@ def commands_of(
         ConfigError: the settings do not fit the types of the topics.
     """
     drive, full = (
-        drive_for(config, topics),
+        drive_in(config, topics),
         PlanarVelocity(config.max_linear_m_s, config.max_linear_m_s, config.max_angular_rad_s),
     )
     if kind is CommandKind.WHEELS and config.wheels is not None:

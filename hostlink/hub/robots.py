@@ -34,7 +34,7 @@ from hostlink.robot.command_types import CommandType
 from hostlink.robot.feedback import Feedback
 from hostlink.robot.model import RobotTopicNames
 from hostlink.robot.odometry import OdometryEstimator
-from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate
 
 if TYPE_CHECKING:
@@ -268,6 +268,7 @@ class Robots:
             before.robot = None
             self._gates.detach(before)
         robot.topics, robot.shown, robot.commands, robot.feedback = topics, shown, commands, feedback
+        _configure(robot)  # its drive follows from its command
         robot.battery = None
         device.robot = robot
         self._away.remove(name)
@@ -367,7 +368,7 @@ class Robots:
             gates=self._gates,
             on_lock=self._note_lock,
             commands=commands,
-            gate=VelocityGate(admission, limits_of(config), ZERO),
+            gate=VelocityGate(admission, limits_of(config, topics.commands), ZERO),
             config=config,
             odometry=OdometryEstimator(
                 continues=config.odometry_after_restart == "continue", correction=correction_of(config)
@@ -401,9 +402,10 @@ def _configure(robot: LocalRobot) -> None:
     """Apply the settings that a reload may change."""
     config, admission, odometry = robot.config, robot.admission, robot.odometry
     admission.resume_after_reconnect_s = config.resume_after_reconnect_s
-    admission.kinematics = Kinematics(config.kinematics)
+    limits = limits_of(config, robot.topics.commands)
+    admission.drive = limits.drive
     admission.max_stamp_age_s = math.inf if config.cmd_vel_max_age_s is None else config.cmd_vel_max_age_s
-    odometry.is_differential = admission.kinematics is Kinematics.DIFFERENTIAL
+    odometry.is_differential = not limits.drive.has_y
     odometry.change_fastest(PlanarVelocity(config.max_linear_m_s, yaw_rad_s=config.max_angular_rad_s))
     for drivable in robot.beside:
-        drivable.gate.change_limits(limits_of(config))
+        drivable.gate.change_limits(limits)

@@ -26,7 +26,7 @@ epoch that is not the current one or is from before the newest stop or pause: th
 |---------------------------------------------------------------------|----------------------|
 | a component is NaN or infinite                                      | refused: not_finite  |
 | non-zero command while the robot is locked                          | refused: locked      |
-| a component is not zero that a robot of these `kinematics` lacks    | refused: unsupported |
+| a velocity that is impossible for the robot's `drive` at any speed  | refused: unsupported |
 | command while the device is not connected                           | refused: not_connected |
 | non-zero command that was sent or received a lease ago, or earlier  | refused: late        |
 | non-zero command whose stamp is older than `max_stamp_age_s`        | refused: late        |
@@ -62,6 +62,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Generic, NamedTuple, Self, TypeVar
 
 from hostlink.errors import RefusalKind
+from hostlink.robot.kinematics import PLANAR, Drive
 from hostlink.robot.velocity import AnyVelocity, Kinematics
 
 DRIFT = 0.001  # two clocks drift far less; a route that became slower for good is accepted at this pace
@@ -87,10 +88,6 @@ MAX_SOURCES = 64  # that one robot keeps apart
 UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
-NOT_SIDEWAYS = (
-    "a differential drive cannot move sideways: send 0 as linear.y; if this robot can, remove "
-    'kinematics = "differential" from its settings'
-)
 NOT_PLANAR = "a robot moves in the plane: send 0 as linear.z, angular.x and angular.y"
 
 V = TypeVar("V", bound=AnyVelocity)
@@ -232,7 +229,7 @@ class Admission:
     lease_s: float = LEASE_S
     resume_after_reconnect_s: float = 0.0
     max_stamp_age_s: float = math.inf  # of senders whose clocks agree with this host's
-    kinematics: Kinematics = Kinematics.PLANAR
+    drive: Drive | None = PLANAR  # None: a velocity topic that belongs to no robot, which takes all six numbers
     epoch: int = 0
     lock_reason: str | None = None
     locked_by: str | None = None
@@ -246,6 +243,11 @@ class Admission:
     _stopped_s: float = float("-inf")
     _unrecorded_s: float = float("-inf")  # the newest non-zero command of a source without a record
     _unarmed_until_s: float = float("-inf")  # sources without a record are disarmed until then
+
+    @property
+    def kinematics(self) -> Kinematics:
+        """Kind of the drive."""
+        return Kinematics.SPATIAL if self.drive is None else self.drive.kinematics
 
     # -- commands -----------------------------------------------------------------------------------------------------
 
@@ -278,8 +280,9 @@ class Admission:
             return self._refuse(RefusalKind.LOCKED, self._locked_text(), by=self.locked_by)
         if not command.is_planar:
             return self._refuse(RefusalKind.UNSUPPORTED, NOT_PLANAR)
-        if self.kinematics is Kinematics.DIFFERENTIAL and velocity.y_m_s != 0:
-            return self._refuse(RefusalKind.UNSUPPORTED, NOT_SIDEWAYS)
+        impossible = None if self.drive is None else self.drive.why_impossible(velocity)
+        if impossible is not None:
+            return self._refuse(RefusalKind.UNSUPPORTED, impossible)
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
         if waited_s >= self.lease_s or command.stamp_age_s is not None:

@@ -9,6 +9,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 from hostlink.compiled import mypyc_attr
 from hostlink.errors import CommandRefused, ConfigError
 from hostlink.robot.admission import Admission, Command, Lease
+from hostlink.robot.kinematics import PLANAR, Drive
 from hostlink.robot.velocity import AnyVelocity, PlanarVelocity
 
 ZEROS = 3  # a single stop can be lost on a radio
@@ -56,17 +57,18 @@ class Limits:
 
     max_linear_m_s: float | None = 1.0
     max_angular_rad_s: float | None = 4.0
-    max_wheel_m_s: float | None = None  # with wheel_separation_m
-    wheel_separation_m: float | None = None
+    max_wheel_m_s: float | None = None  # of the drive's wheels
     max_linear_acceleration_m_s2: float | None = None
     max_angular_acceleration_rad_s2: float | None = None
     max_linear_deceleration_m_s2: float | None = None
     max_angular_deceleration_rad_s2: float | None = None
+    drive: Drive = PLANAR
     has_ramps: bool = field(init=False, default=False)  # an acceleration or a deceleration is limited
 
     def __post_init__(self) -> None:
         """A limit below zero would turn velocities around, one that is not finite would let everything pass."""
-        for name, limit in dataclasses.asdict(self).items():
+        for name in (each.name for each in dataclasses.fields(self) if each.init and each.name != "drive"):
+            limit = getattr(self, name)
             if limit is not None and "celeration" in name:
                 object.__setattr__(self, "has_ramps", True)
             if limit is not None and not (math.isfinite(limit) and limit >= 0):
@@ -75,22 +77,25 @@ class Limits:
                 raise ConfigError("limits of a robot", f"{name} must be above zero: the robot would never stop")
 
     def apply(self, velocity: PlanarVelocity) -> PlanarVelocity:
-        """The velocity on the same curve, slow enough for every limit."""
+        """The velocity on the same curve, slow enough for every limit; the tightest curve instead of a tighter one."""
+        velocity = self.drive.possible(velocity)
         factor = min(self._factors(velocity))
         return velocity if factor >= 1 else velocity.scaled(factor)
 
     def slowest(self, velocity: PlanarVelocity) -> str | None:
-        """The limit that slows this velocity down most; None: it keeps every limit."""
-        factors = self._factors(velocity)
+        """The limit that slows this velocity down most, or that of its curve; None: it keeps every limit."""
+        possible = self.drive.possible(velocity)
+        factors = self._factors(possible)
         smallest = min(factors)
-        return _LIMITS[factors.index(smallest)] if smallest < 1 else None
+        if smallest < 1:
+            return _LIMITS[factors.index(smallest)]
+        return None if possible == velocity else "max_steering_rad"
 
     def _factors(self, velocity: PlanarVelocity) -> tuple[float, float, float]:
         """Factor by which each of _LIMITS slows the velocity down."""
         linear_m_s, angular_rad_s = velocity.speed_m_s, velocity.turn_rad_s
-        # A differential drive's faster wheel: |x| + |yaw| * separation / 2; other drives have the length of (x, y).
-        wheel_m_s = linear_m_s + angular_rad_s * (self.wheel_separation_m or 0.0) / 2
         linear, angular, wheel = self.max_linear_m_s, self.max_angular_rad_s, self.max_wheel_m_s
+        wheel_m_s = 0.0 if wheel is None else self.drive.fastest_wheel_m_s(velocity)
         return (
             1.0 if linear is None or linear_m_s <= linear else linear / linear_m_s,
             1.0 if angular is None or angular_rad_s <= angular else angular / angular_rad_s,

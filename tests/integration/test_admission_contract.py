@@ -18,7 +18,8 @@ import pytest
 from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S, Admission
-from hostlink.robot.velocity import TWIST_TYPE, Kinematics, PlanarVelocity, Twist
+from hostlink.robot.kinematics import DifferentialDrive
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from tests.support import entry_points
 from tests.support.entry_points import EntryPoint
 from tests.support.fake_device import robot_topics, topic
@@ -319,7 +320,7 @@ async def passed_and_limited(way: EntryPoint, robot: Robot) -> None:
 
 
 async def unsupported(way: EntryPoint, robot: Robot) -> None:
-    robot.admission.kinematics = Kinematics.DIFFERENTIAL
+    robot.admission.drive = DifferentialDrive()
     with contextlib.suppress(HostlinkError):
         await way.give(entry_points.SPEED_M_S, left_m_s=0.1)
     await asyncio.sleep(0.1)

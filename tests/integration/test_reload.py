@@ -75,9 +75,10 @@ async def test_kinematics_apply_to_the_next_velocity() -> None:
         status, answer = await host.rest("PUT", "/api/robots/robot_0/velocity", sideways)
         assert (status, answer["error"]["kind"]) == (400, "unsupported")  # type: ignore[index]
         assert host.hub.robots.find_here("robot_0").odometry.is_differential
-        file.config = Config()
+        file.config = robots(robot_0=RobotConfig(kinematics="mecanum", wheel_separation_m=0.4, wheelbase_m=0.2))
         await reload(host)
         await host.drive("robot_0", sideways)
+        assert host.hub.robots.find_here("robot_0").admission.drive.wheels[2:] == ("rear_left", "rear_right")
 
 
 # -- names ------------------------------------------------------------------------------------------------------------

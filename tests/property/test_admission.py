@@ -11,12 +11,15 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from hostlink.errors import RefusalKind
 from hostlink.robot.admission import LEASE_S, UNORDERED_S, Admission, Command
+from hostlink.robot.kinematics import PLANAR, AckermannDrive, DifferentialDrive, MecanumDrive
+from hostlink.robot.kinematics import Drive as RobotDrive
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 
 OWNERS = st.sampled_from(["ann", "bob", "eve"])
 TOPICS = st.sampled_from(["cmd_vel", "arm_vel"])
 PRIORITIES = st.sampled_from([0, 50, 100])
-FORWARD, SIDEWAYS = PlanarVelocity(0.2), PlanarVelocity(0.2, 0.1)
+FORWARD, SIDEWAYS, IN_PLACE = PlanarVelocity(0.2), PlanarVelocity(0.2, 0.1), PlanarVelocity(yaw_rad_s=0.5)
+WITHOUT_Y = (Kinematics.DIFFERENTIAL, Kinematics.ACKERMANN)
 MAX_STAMP_AGE_S = 1.0
 TICK_S = 0.125  # every time is a multiple, so that no sum is rounded
 
@@ -57,16 +60,16 @@ class History(RuleBasedStateMachine):
     @initialize(
         resume_s=st.sampled_from([0.0, 1.0]),
         is_connected=st.sampled_from([True, True, False]),
-        kinematics=st.sampled_from([Kinematics.PLANAR, Kinematics.DIFFERENTIAL]),
+        drive=st.sampled_from([PLANAR, DifferentialDrive(), MecanumDrive(), AckermannDrive()]),
     )
-    def build(self, resume_s: float, is_connected: bool, kinematics: Kinematics) -> None:
+    def build(self, resume_s: float, is_connected: bool, drive: RobotDrive) -> None:
         self.now_s = 128.0
         self.resume_s = resume_s
         self.admission = Admission(
             "robot_0",
             resume_after_reconnect_s=resume_s,
             max_stamp_age_s=MAX_STAMP_AGE_S,
-            kinematics=kinematics,
+            drive=drive,
         )
         self.sources: dict[str, Heard] = {}
         self.drives: dict[str, Drive] = {}  # by topic
@@ -86,7 +89,7 @@ class History(RuleBasedStateMachine):
         waited=st.integers(0, 8),
         seen=st.sampled_from([None, 0, 1]),
         stamp_age_s=st.sampled_from([None, 1.0, 2.0]),
-        velocity=st.sampled_from([FORWARD, FORWARD, SIDEWAYS, ZERO]),
+        velocity=st.sampled_from([FORWARD, FORWARD, SIDEWAYS, IN_PLACE, ZERO]),
         is_planar=st.sampled_from([True, True, True, False]),
     )
     def source_drives(
@@ -102,7 +105,9 @@ class History(RuleBasedStateMachine):
     ) -> None:
         if velocity.is_zero:
             is_planar = False  # else it would be a zero
-        is_supported = is_planar and not (velocity.y_m_s and self.admission.kinematics is Kinematics.DIFFERENTIAL)
+        is_supported = is_planar and not (velocity.y_m_s and self.admission.kinematics in WITHOUT_Y)
+        if self.admission.kinematics is Kinematics.ACKERMANN and velocity.yaw_rad_s and not velocity.x_m_s:
+            is_supported = False
         epoch = None if seen is None else self.admission.epoch - 1 + seen
         heard = self.sources.setdefault(owner, Heard())
         waited_s = waited * TICK_S

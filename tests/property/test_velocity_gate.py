@@ -10,7 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 
 from hostlink.errors import CommandRefused
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.kinematics import DifferentialDrive
+from hostlink.robot.kinematics import MecanumDrive, PlanarDrive
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import (
     LOCKED_ZERO_INTERVAL_S,
@@ -23,12 +23,15 @@ from tests.support.gates import GateOfRobot
 SLACK = 1 + 1e-9  # of a scaled double
 
 bounds = st.none() | st.floats(0.05, 5)
+drives_of_limits = st.builds(PlanarDrive, wheel_separation_m=st.just(0.0) | st.floats(0.05, 1)) | st.builds(
+    MecanumDrive, wheel_separation_m=st.floats(0.05, 1), wheelbase_m=st.floats(0.05, 1)
+)
 limits_of_speed = st.builds(
     Limits,
     max_linear_m_s=bounds,
     max_angular_rad_s=bounds,
     max_wheel_m_s=bounds,
-    wheel_separation_m=st.none() | st.floats(0.05, 1),
+    drive=drives_of_limits,
 )
 limits_of_all = st.builds(
     dataclasses.replace,
@@ -56,11 +59,12 @@ def share(value: float, limit: float | None) -> float:
 
 def use(velocity: PlanarVelocity, limits: Limits) -> float:
     """Return the share of the strictest speed limit that a velocity uses: 1 is all of it."""
-    if limits.wheel_separation_m is None:
-        wheel_m_s = velocity.speed_m_s
+    drive = limits.drive
+    assert isinstance(drive, PlanarDrive | MecanumDrive)
+    if isinstance(drive, MecanumDrive):
+        wheel_m_s = max(map(abs, drive.wheel_speeds(velocity)))
     else:
-        drive = DifferentialDrive(wheel_separation_m=limits.wheel_separation_m)
-        wheel_m_s = max(map(abs, drive.wheel_speeds(PlanarVelocity(velocity.speed_m_s, yaw_rad_s=velocity.yaw_rad_s))))
+        wheel_m_s = velocity.speed_m_s + velocity.turn_rad_s * drive.wheel_separation_m / 2
     return max(
         share(velocity.speed_m_s, limits.max_linear_m_s),
         share(velocity.turn_rad_s, limits.max_angular_rad_s),

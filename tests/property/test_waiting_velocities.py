@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from hostlink.api.clients import Operation, OperationQueue, VelocityOf
 from hostlink.hub.byte_budget import ByteBudget
 from hostlink.robot.admission import UNORDERED_S, Admission, Command
-from hostlink.robot.velocity import Kinematics, PlanarVelocity
+from hostlink.robot.kinematics import DifferentialDrive
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.api_memory import ApiMemory, ApiPeer, api_memory
 from tests.support.participants import VELOCITY_ID
 from tests.support.virtual_loop import run_virtual
@@ -113,7 +114,7 @@ def outcome(sent: Sequence[Sent], *, together: bool, is_disarmed: bool) -> Outco
 
 async def driven(api: ApiMemory, sent: Sequence[Sent], *, together: bool, is_disarmed: bool) -> Outcome:
     peers, robot = [await api.web_socket(), await api.web_socket()], api.hub.robots.find("robot_0")
-    robot.admission.kinematics = Kinematics.DIFFERENTIAL
+    robot.admission.drive = DifferentialDrive()
     if is_disarmed:
         peers[0].send_text(**drive())
         await asyncio.sleep(0.01)

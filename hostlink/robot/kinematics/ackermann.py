@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hostlink.errors import ConfigError
-from hostlink.robot.kinematics.drive import Drive, Row
+from hostlink.robot.kinematics.drive import WHERE, Drive, Row
 from hostlink.robot.velocity import Kinematics, PlanarVelocity
 
 
@@ -42,10 +42,11 @@ class AckermannDrive(Drive):
 
     def _named_rows(self) -> list[tuple[str, Row]]:
         if not self.wheelbase_m:
-            raise ConfigError("drive", "wheelbase_m must be above zero")
+            raise ConfigError(WHERE, "wheelbase_m must be above zero")
         if not 0 < self.max_steering_rad < math.pi / 2:
             raise ConfigError(
-                "drive", f"max_steering_rad must be above zero and below {math.pi / 2:.4f}, not {self.max_steering_rad}"
+                WHERE,
+                f"max_steering_rad must be above zero and below {math.pi / 2:.4f}, not {self.max_steering_rad}",
             )
         half_m = self.wheel_separation_m / 2
         return [("rear_left", (1.0, 0.0, -half_m)), ("rear_right", (1.0, 0.0, half_m))] if half_m else []

@@ -6,12 +6,13 @@ from typing import Any
 
 from hostlink.errors import ConfigError
 from hostlink.robot.kinematics.ackermann import AckermannDrive
-from hostlink.robot.kinematics.drive import Drive, PlanarDrive
+from hostlink.robot.kinematics.drive import WHERE, Drive, PlanarDrive
 from hostlink.robot.kinematics.wheeled import DifferentialDrive, MecanumDrive, Omni4Drive, OmniDrive, SkidSteerDrive
 
 DRIVES: dict[str, type[Drive]] = {
     "": PlanarDrive,
     "planar": PlanarDrive,
+    "spatial": PlanarDrive,  # of its topics none belongs to a robot
     "differential": DifferentialDrive,
     "skid_steer": SkidSteerDrive,
     "mecanum": MecanumDrive,
@@ -41,6 +42,6 @@ def drive_of(kinematics: str, dimensions: Mapping[str, Any]) -> Drive:
     for name in given:
         if name not in own:
             known = ", ".join(each for each in SETTINGS if each in own)
-            raise ConfigError("drive", f'{name} is not a setting of kinematics = "{kinematics}", which takes {known}')
+            raise ConfigError(WHERE, f'{name} is not a setting of kinematics = "{kinematics}", which takes {known}')
     made: Drive = drive(**{"wheel_separation_m": 0.0, **given} if "wheel_separation_m" in own else given)
     return made

@@ -11,6 +11,7 @@ from hostlink.robot.velocity import Kinematics, PlanarVelocity
 
 Row = tuple[float, float, float]  # speed of one wheel's rim, for 1 m/s of x, 1 m/s of y and 1 rad/s of yaw
 
+WHERE = "drive of a robot"
 LEAST_INDEPENDENCE = 1e-6  # of the directions in which wheels push: 1 at right angles, 0 if two are the same
 
 
@@ -37,7 +38,7 @@ class Drive:
     def __post_init__(self) -> None:
         for name, value in self._dimensions():
             if not (math.isfinite(value) and value >= 0):
-                raise ConfigError("drive", f"{name} must be a finite number, zero (unknown) or more, not {value}")
+                raise ConfigError(WHERE, f"{name} must be a finite number, zero (unknown) or more, not {value}")
         named = self._named_rows()
         if named:
             object.__setattr__(self, "wheels", tuple(name for name, _ in named))
@@ -147,7 +148,7 @@ def _least_squares(rows: tuple[Row, ...]) -> tuple[tuple[float, ...], ...]:
     )
     determinant = a * adjugate[0][0] + b * adjugate[0][1] + c * adjugate[0][2]
     if determinant < LEAST_INDEPENDENCE * a * d * f:
-        raise ConfigError("drive", "the wheels push in too few directions to move and turn; check their angles")
+        raise ConfigError(WHERE, "the wheels push in too few directions to move and turn; check their angles")
     return tuple(
         tuple([sum([factor * part for factor, part in zip(line, row, strict=True)]) / determinant for row in rows])
         for line in adjugate

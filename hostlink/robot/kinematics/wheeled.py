@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from hostlink.errors import ConfigError
-from hostlink.robot.kinematics.drive import Drive, Row
+from hostlink.robot.kinematics.drive import WHERE, Drive, Row
 from hostlink.robot.velocity import Kinematics
 
 FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -89,7 +89,7 @@ class OmniDrive(Drive):
     def _named_rows(self) -> list[tuple[str, Row]]:
         if len(self.wheel_angles_deg) != self.wheel_count or not all(map(math.isfinite, self.wheel_angles_deg)):
             shown = list(self.wheel_angles_deg)
-            raise ConfigError("drive", f"wheel_angles_deg must be {self.wheel_count} angles in degrees, not {shown}")
+            raise ConfigError(WHERE, f"wheel_angles_deg must be {self.wheel_count} angles in degrees, not {shown}")
         if not self.wheel_distance_m:
             return []
         angles_rad = map(math.radians, self.wheel_angles_deg)

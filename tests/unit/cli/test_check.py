@@ -88,6 +88,18 @@ def test_report_says_from_where_a_zenoh_session_can_be_reached() -> None:
             "max_linear_m_s must be a finite number, zero or more",
         ),
         (
+            Config(robots={"a": RobotConfig(kinematics="omni3", wheel_angles_deg=(0.0, 90.0))}),
+            r"robots.a: wheel_angles_deg must be 3 angles in degrees, not \[0.0, 90.0\]",
+        ),
+        (
+            Config(robots={"a": RobotConfig(kinematics="omni4", wheelbase_m=0.2)}),
+            'robots.a: wheelbase_m is not a setting of kinematics = "omni4", which takes wheel_distance_m',
+        ),
+        (
+            Config(robots={"a": RobotConfig(kinematics="mecanum", wheelbase_m=-0.2)}),
+            "robots.a.wheelbase_m: -0.2 is not allowed; choose a finite number above 0",
+        ),
+        (
             Config(robots={"a": RobotConfig(uart_bytes_s=0)}),
             "robots.a.uart_bytes_s: 0 is not allowed; choose a finite number above 0",
         ),
@@ -138,6 +150,14 @@ def test_configuration_that_cannot_be_served_is_refused(config: Config, problem:
         ),
         (Config(parameters={"a": 2**40}), "parameters.a cannot be sent: "),
         (Config(robots={"a": RobotConfig(max_wheel_m_s=0.3)}), "robots.a.max_wheel_m_s needs wheel_separation_m"),
+        (
+            Config(robots={"a": RobotConfig(max_wheel_m_s=0.3, kinematics="mecanum", wheelbase_m=0.2)}),
+            "robots.a.max_wheel_m_s needs wheel_separation_m, without which",
+        ),
+        (
+            Config(robots={"a": RobotConfig(kinematics="ackermann", wheelbase_m=0.2)}),
+            "robots.a: measure the car for wheelbase_m and max_steering_rad",
+        ),
         (
             Config(api=ApiConfig(max_clients=1000)),
             "api.max_clients 1000 is too large: api.max_connections 512 leaves 496 connections for clients",

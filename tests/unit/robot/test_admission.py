@@ -1,5 +1,7 @@
 """Admission: one test for each row of its tables."""
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +23,8 @@ from hostlink.robot.admission import (
     Freshness,
     named,
 )
-from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity, Twist
+from hostlink.robot.kinematics import AckermannDrive, DifferentialDrive
+from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 
 FORWARD = PlanarVelocity(0.3)
 
@@ -29,7 +32,7 @@ FORWARD = PlanarVelocity(0.3)
 class Timeline:
     """An admission and a clock. `command` is a command of `ann` that is received now unless a test says otherwise."""
 
-    def __init__(self, **settings: float | Kinematics) -> None:
+    def __init__(self, **settings: Any) -> None:
         self.now_s = 100.0
         self.admission = Admission("robot_0", **settings)  # type: ignore[arg-type]
         self.admission.connect(0.0)
@@ -269,7 +272,7 @@ def test_velocity_that_is_not_finite_is_refused(robot: Timeline, value: float) -
 def test_sideways_velocity_is_refused_for_a_differential_drive_alone(robot: Timeline) -> None:
     sideways = PlanarVelocity(0.2, -0.1)
     assert robot.command(sideways).is_admitted
-    robot.admission.kinematics = Kinematics.DIFFERENTIAL
+    robot.admission.drive = DifferentialDrive()
     refusal = robot.command(sideways)
     assert refusal == Decision(
         RefusalKind.UNSUPPORTED,
@@ -280,13 +283,24 @@ def test_sideways_velocity_is_refused_for_a_differential_drive_alone(robot: Time
     assert robot.driver() == "ann"
 
 
+def test_turn_in_place_is_refused_for_a_car_and_a_curve_is_not(robot: Timeline) -> None:
+    robot.admission.drive = AckermannDrive()
+    refusal = robot.command(PlanarVelocity(yaw_rad_s=0.5))
+    assert refusal == Decision(
+        RefusalKind.UNSUPPORTED,
+        "robot_0: a car with steered wheels cannot turn in place: send a linear.x that is not 0 together with "
+        "angular.z",
+    )
+    assert robot.command(PlanarVelocity(0.2, yaw_rad_s=0.5)).is_admitted
+
+
 @pytest.mark.parametrize(
     ("velocity", "is_planar"), [(PlanarVelocity(0.2, -0.1), True), (FORWARD, False), (ZERO, False)]
 )
 def test_locked_robot_answers_with_its_lock_also_what_it_could_not_do(
     robot: Timeline, velocity: PlanarVelocity, *, is_planar: bool
 ) -> None:
-    robot.admission.kinematics = Kinematics.DIFFERENTIAL
+    robot.admission.drive = DifferentialDrive()
     robot.admission.lock("smoke", robot.now_s)
     refusal = robot.command(velocity, is_planar=is_planar)
     assert refusal.kind is RefusalKind.LOCKED
@@ -306,7 +320,7 @@ def test_twist_with_components_that_no_robot_has_is_refused_and_is_not_a_zero(
 
 
 def test_velocity_topic_without_a_robot_is_driven_with_all_six_numbers() -> None:
-    topic = Timeline(kinematics=Kinematics.SPATIAL)
+    topic = Timeline(drive=None)
     assert topic.command(Twist(linear_z_m_s=0.1)).is_admitted
 
 

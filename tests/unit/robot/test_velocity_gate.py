@@ -7,11 +7,14 @@ import pytest
 
 from hostlink.errors import CommandRefused, ConfigError, RefusalKind
 from hostlink.robot.admission import LEASE_S, Admission, Command
-from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity, Twist
+from hostlink.robot.kinematics import AckermannDrive, DifferentialDrive, PlanarDrive
+from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 from hostlink.robot.velocity_gate import GateCounts, Limits, Unlimited, VelocityGate
 from tests.support.gates import FORWARD, FREE, HEAVY, STOPPED, TURN, GateOfRobot, driven, gate, moving, outputs
 
 # -- the life of a lease ----------------------------------------------------------------------------------------------
+
+LIMITS = [each.name for each in dataclasses.fields(Limits) if each.init and each.name != "drive"]
 
 
 def test_a_new_gate_is_silent() -> None:
@@ -217,7 +220,7 @@ def test_all_components_shrink_by_one_factor(limits: Limits, requested: PlanarVe
 @pytest.mark.parametrize("forward", [1, -1])
 @pytest.mark.parametrize("left", [1, -1])
 def test_the_faster_wheel_counts_in_every_direction(forward: int, left: int) -> None:
-    limits = Limits(max_wheel_m_s=0.3, wheel_separation_m=0.2)
+    limits = Limits(max_wheel_m_s=0.3, drive=PlanarDrive(wheel_separation_m=0.2))
     given = limits.apply(PlanarVelocity(forward * 0.4, yaw_rad_s=left * 2.0))  # one wheel would make 0.6 m/s
     assert given == pytest.approx(PlanarVelocity(forward * 0.2, yaw_rad_s=left * 1.0))
 
@@ -234,7 +237,7 @@ def test_the_largest_numbers_stand_still_under_a_limit() -> None:
     assert Limits().apply(PlanarVelocity(1.7e308, 1.7e308, 1.7e308)).is_zero
 
 
-@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Limits) if field.init])
+@pytest.mark.parametrize("name", LIMITS)
 @pytest.mark.parametrize("wrong", [-0.1, math.nan, math.inf, -math.inf])
 def test_an_impossible_limit_is_refused(name: str, wrong: float) -> None:
     with pytest.raises(ConfigError, match=f"limits of a robot: {name} must be a finite number, zero or more, not"):
@@ -247,15 +250,30 @@ def test_speed_limit_applies_to_the_length_of_x_and_y() -> None:
 
 
 def test_wheel_limit_applies_to_the_length_of_x_and_y_and_to_the_turn() -> None:
-    limits = Limits(max_wheel_m_s=0.3, wheel_separation_m=0.2)
+    limits = Limits(max_wheel_m_s=0.3, drive=PlanarDrive(wheel_separation_m=0.2))
     assert limits.apply(PlanarVelocity(0.0, 0.9)) == pytest.approx(PlanarVelocity(0.0, 0.3))
     assert limits.apply(PlanarVelocity(0.3, 0.4, 1.0)) == pytest.approx(PlanarVelocity(0.15, 0.2, 0.5))
     assert limits.slowest(PlanarVelocity(0.0, 0.9)) == "max_wheel_m_s"
 
 
+def test_wheel_limit_of_a_drive_is_that_of_its_wheels() -> None:
+    limits = Limits(max_wheel_m_s=0.3, drive=DifferentialDrive(wheel_separation_m=0.2))
+    assert limits.apply(PlanarVelocity(0.3, 0.0, -3.0)) == pytest.approx(PlanarVelocity(0.15, 0.0, -1.5))
+
+
+def test_curve_that_a_car_cannot_steer_becomes_its_tightest_before_the_limits() -> None:
+    car = AckermannDrive(wheelbase_m=0.5, max_steering_rad=math.atan(0.5))  # a circle of 1 m
+    limits = Limits(max_linear_m_s=0.5, drive=car)
+    assert limits.apply(PlanarVelocity(0.4, 0.0, 2.0)) == pytest.approx(PlanarVelocity(0.4, 0.0, 0.4))
+    assert limits.slowest(PlanarVelocity(0.4, 0.0, 2.0)) == "max_steering_rad"
+    assert limits.apply(PlanarVelocity(-1.0, 0.0, 2.0)) == pytest.approx(PlanarVelocity(-0.5, 0.0, 0.5))
+    assert limits.slowest(PlanarVelocity(-1.0, 0.0, 2.0)) == "max_linear_m_s"
+    assert limits.slowest(PlanarVelocity(0.4, 0.0, 0.2)) is None
+
+
 def test_six_numbers_of_a_topic_without_a_robot_stay_as_they_are() -> None:
     fast = Twist(9.0, 9.0, 9.0, 9.0, 9.0, 9.0)
-    admission = Admission("/arm/velocity", kinematics=Kinematics.SPATIAL)
+    admission = Admission("/arm/velocity", drive=None)
     admission.connect(0.0)
     ours: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
     assert ours.command(Command(fast, "ann", 50, 0.0), now_s=0.0) == fast
@@ -299,7 +317,9 @@ def test_the_priority_of_the_owner_is_known() -> None:
 def test_the_limit_that_slows_a_velocity_down_most_is_named(
     linear_m_s: float, angular_rad_s: float, name: str | None
 ) -> None:
-    limits = Limits(max_linear_m_s=0.5, max_angular_rad_s=2.0, max_wheel_m_s=0.55, wheel_separation_m=0.2)
+    limits = Limits(
+        max_linear_m_s=0.5, max_angular_rad_s=2.0, max_wheel_m_s=0.55, drive=PlanarDrive(wheel_separation_m=0.2)
+    )
     velocity = PlanarVelocity(x_m_s=linear_m_s, yaw_rad_s=angular_rad_s)
     assert limits.slowest(velocity) == name
     assert (limits.apply(velocity) == velocity) is (name is None)
