@@ -12,6 +12,7 @@ from typing import Self
 
 from hostlink.robot.kinematics import DifferentialDrive, Pose
 from hostlink.robot.motor_model import PidGains
+from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import Firmware, FirmwareWorld, SimulatedWheel
 
@@ -245,7 +246,9 @@ class PaperRobot:
         """Drive at this velocity until the next command."""
         now_s = self._turns * LOOP_S
         for wheel, speed_m_s in zip(
-            self._controllers, self._drive.wheel_speeds(linear_m_s, angular_rad_s), strict=True
+            self._controllers,
+            self._drive.wheel_speeds(PlanarVelocity(linear_m_s, 0.0, angular_rad_s)),
+            strict=True,
         ):
             wheel.aim(speed_m_s / self._drive.metres_per_tick, now_s)
 
@@ -261,7 +264,7 @@ class PaperRobot:
         self.world.turn_motors(left.pwm, right.pwm, LOOP_S / _SUBSTEPS, _SUBSTEPS)
         self._turns += 1
         metres = [self._step(side, wheel) * self._drive.metres_per_tick for side, wheel in enumerate(self.world.wheels)]
-        self.odometry = self._drive.integrate(self.odometry, metres[0], metres[1])
+        self.odometry = self._drive.integrate(self.odometry, (metres[0], metres[1]))
 
     def _step(self, side: int, wheel: SimulatedWheel) -> float:
         edges = wheel.edges

@@ -14,11 +14,16 @@ _TWIST = struct.Struct("<6d")
 
 
 class Kinematics(StrEnum):
-    """Components of a velocity that a device obeys. The values of PLANAR and DIFFERENTIAL are settings of a robot."""
+    """Drive of a device: which velocities it obeys. All but SPATIAL are settings of a robot."""
 
-    SPATIAL = "spatial"  # all six: a velocity topic that belongs to no robot
-    PLANAR = ""  # x, y and yaw: a robot about which nothing else is configured
-    DIFFERENTIAL = "differential"  # x and yaw
+    SPATIAL = "spatial"  # all six components: a velocity topic that belongs to no robot
+    PLANAR = ""  # x, y and yaw: a robot about which nothing else is configured; also "planar" in the settings
+    DIFFERENTIAL = "differential"  # x and yaw: two wheels on one axis
+    SKID_STEER = "skid_steer"  # x and yaw: wheels on both sides that slide sideways in a turn
+    MECANUM = "mecanum"  # x, y and yaw: four wheels with rollers at 45 degrees
+    OMNI3 = "omni3"  # x, y and yaw: three wheels with rollers at 90 degrees
+    OMNI4 = "omni4"  # the same with four
+    ACKERMANN = "ackermann"  # x, and a yaw of at most a curvature times x: steered wheels
 
 
 class AnyVelocity(Protocol):

@@ -156,7 +156,7 @@ def test_odometry_is_hostlink_s(wheels: Wheels, pose: tuple[float, float, float]
     with drive(wheels) as handle:
         library().drive_integrate(handle, values, left, right)
     model = DifferentialDrive(wheel_separation_m=wheels.separation_m)
-    wanted = model.integrate(Pose(*pose), left * wheels.metres_per_tick(0), right * wheels.metres_per_tick(1))
+    wanted = model.integrate(Pose(*pose), (left * wheels.metres_per_tick(0), right * wheels.metres_per_tick(1)))
     assert values[0] == pytest.approx(wanted.x_m, abs=1e-5)
     assert values[1] == pytest.approx(wanted.y_m, abs=1e-5)
     assert math.cos(values[2] - wanted.theta_rad) == pytest.approx(1.0, abs=1e-9)

@@ -60,7 +60,7 @@ def use(velocity: PlanarVelocity, limits: Limits) -> float:
         wheel_m_s = velocity.speed_m_s
     else:
         drive = DifferentialDrive(wheel_separation_m=limits.wheel_separation_m)
-        wheel_m_s = max(map(abs, drive.wheel_speeds(velocity.speed_m_s, velocity.yaw_rad_s)))
+        wheel_m_s = max(map(abs, drive.wheel_speeds(PlanarVelocity(velocity.speed_m_s, yaw_rad_s=velocity.yaw_rad_s))))
     return max(
         share(velocity.speed_m_s, limits.max_linear_m_s),
         share(velocity.turn_rad_s, limits.max_angular_rad_s),

@@ -78,6 +78,7 @@ REQUIREMENTS = (
     _pip("importlinter", "tests/unit/tools/test_import_rows.py"),
     _pip("roslibpy", "tests/integration/test_diagnostics.py"),
     _pip("zenoh_ros2_sdk", "tests/integration/test_rmw_zenoh.py"),
+    _pip("wpimath", "tests/property/test_kinematics_wpimath.py"),
     _pip("schemathesis", "tests/integration/test_openapi.py"),
     _pip(
         "matplotlib",

@@ -24,6 +24,7 @@ from hostlink.client import RobotState
 from hostlink.errors import ConfigError
 from hostlink.robot.kinematics import DifferentialDrive
 from hostlink.robot.step_response import Record, step_figures
+from hostlink.robot.velocity import PlanarVelocity
 
 B_M = 0.21
 GAINS = "geometry_msgs/Vector3"
@@ -42,7 +43,9 @@ def test_a_stage_turns_the_wheels_that_are_meant(
     wheel: Wheel | None, turning: tuple[int, int], speed_m_s: float
 ) -> None:
     stage = make_stage(speed_m_s, 3.0, wheel, B_M)
-    speeds = DifferentialDrive(wheel_separation_m=B_M).wheel_speeds(stage.linear_m_s, stage.angular_rad_s)
+    speeds = DifferentialDrive(wheel_separation_m=B_M).wheel_speeds(
+        PlanarVelocity(stage.linear_m_s, yaw_rad_s=stage.angular_rad_s)
+    )
     assert speeds == pytest.approx([speed_m_s * each for each in turning])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry
 from hostlink.robot.course import CourseFollower, Leg, square, straight, turns
 from hostlink.robot.kinematics import DifferentialDrive, Pose
+from hostlink.robot.velocity import PlanarVelocity
 
 PERIOD_S = 0.1
 LONGEST_S = 600.0
@@ -30,13 +31,15 @@ class ExactRobot:
         )
 
     def move(self, linear_m_s: float, angular_rad_s: float) -> None:
-        believed = [speed * PERIOD_S for speed in self._nominal.wheel_speeds(linear_m_s, angular_rad_s)]
+        believed = [
+            speed * PERIOD_S for speed in self._nominal.wheel_speeds(PlanarVelocity(linear_m_s, 0.0, angular_rad_s))
+        ]
         rolled = [
             way_m * factor + self._noise_m * math.sqrt(abs(way_m)) * self._random.normal()
             for way_m, factor in zip(believed, self._factors, strict=True)
         ]
-        self.odometry = self._nominal.integrate(self.odometry, *believed)
-        self.truth = self._true.integrate(self.truth, *rolled)
+        self.odometry = self._nominal.integrate(self.odometry, believed)
+        self.truth = self._true.integrate(self.truth, rolled)
         self.turned_rad += (rolled[1] - rolled[0]) / self._true.wheel_separation_m
 
     def drive(self, kind: RunKind, legs: Sequence[Leg], size: float) -> MeasuredRun:

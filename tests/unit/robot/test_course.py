@@ -8,6 +8,7 @@ import pytest
 from hostlink.robot.calibration import RunKind, WheelGeometry, end_of, uncorrected
 from hostlink.robot.course import SETTLE_S, STUCK_S, CourseFollower, Leg, Speed, square, straight, turns
 from hostlink.robot.kinematics import DifferentialDrive, Pose
+from hostlink.robot.velocity import PlanarVelocity
 from tests.unit.robot.drives import ExactRobot
 
 NOMINAL = WheelGeometry()
@@ -37,8 +38,8 @@ def test_a_robot_that_draws_to_one_side_is_led_back_to_the_line() -> None:
     farthest_m = 0.0
     while not follower.is_done:
         linear, angular = follower.update(pose, now_s)
-        left_m, right_m = (speed * 0.1 for speed in drive.wheel_speeds(linear, angular))
-        pose = drive.integrate(pose, left_m, right_m * 1.02)
+        left_m, right_m = (speed * 0.1 for speed in drive.wheel_speeds(PlanarVelocity(linear, 0.0, angular)))
+        pose = drive.integrate(pose, (left_m, right_m * 1.02))
         farthest_m, now_s = max(farthest_m, abs(pose.y_m)), now_s + 0.1
         assert now_s < 60.0
     assert farthest_m < 0.05
@@ -51,7 +52,10 @@ def test_the_command_changes_rarely() -> None:
     commands = []
     while not follower.is_done:
         commands.append(follower.update(pose, now_s))
-        pose = drive.integrate(pose, *(speed * 0.1 for speed in drive.wheel_speeds(*commands[-1])))
+        pose = drive.integrate(
+            pose,
+            [speed * 0.1 for speed in drive.wheel_speeds(PlanarVelocity(commands[-1][0], 0.0, commands[-1][1]))],
+        )
         now_s += 0.1
         assert now_s < 60.0
     changes = sum(one != other for one, other in itertools.pairwise(commands))

@@ -28,10 +28,10 @@ PERIOD_S = 0.1
 
 def arc(linear_m_s: float, angular_rad_s: float, count: int, start: Pose | None = None) -> list[Pose]:
     """The poses of a robot that drives at this velocity, one every PERIOD_S."""
-    left_m_s, right_m_s = DRIVE.wheel_speeds(linear_m_s, angular_rad_s)
+    left_m_s, right_m_s = DRIVE.wheel_speeds(PlanarVelocity(linear_m_s, 0.0, angular_rad_s))
     poses = [start or Pose(1.0, 2.0, 3.0)]
     while len(poses) < count:
-        poses.append(DRIVE.integrate(poses[-1], left_m_s * PERIOD_S, right_m_s * PERIOD_S))
+        poses.append(DRIVE.integrate(poses[-1], (left_m_s * PERIOD_S, right_m_s * PERIOD_S)))
     return poses
 
 
@@ -319,12 +319,12 @@ def test_shown_pose_jumps_only_at_a_reset(history: list[tuple[str, float, float]
             reported = truth = Pose()
         elif event == "lost":
             now_s += 8.0
-        wheels_m = [speed * PERIOD_S for speed in DRIVE.wheel_speeds(linear_m_s, angular_rad_s)]
+        wheels_m = [speed * PERIOD_S for speed in DRIVE.wheel_speeds(PlanarVelocity(linear_m_s, 0.0, angular_rad_s))]
         if event == "drive":
-            driven = DRIVE.integrate(reported, *wheels_m)
+            driven = DRIVE.integrate(reported, wheels_m)
             # back at the very origin in one period: nothing distinguishes that from a device that restarts there
             assume(not (has_moved(reported) and driven == pytest.approx(Pose(), abs=1e-9)))
-            reported, truth = driven, DRIVE.integrate(truth, *wheels_m)
+            reported, truth = driven, DRIVE.integrate(truth, wheels_m)
         now_s += PERIOD_S
         view.update(reported, now_s=now_s, wall_ns=0)
         assert shown(view)[:2] == pytest.approx(truth[:2], abs=1e-9)
@@ -429,7 +429,7 @@ def test_a_device_that_publishes_thousands_of_poses_costs_a_snapshot_no_more(rat
     pose = Pose()
     for number in range(rate_hz):
         view.update(pose, now_s=number * step_s, wall_ns=number)
-        pose = DRIVE.integrate(pose, *(speed * step_s for speed in DRIVE.wheel_speeds(0.3, 1.0)))
+        pose = DRIVE.integrate(pose, [speed * step_s for speed in DRIVE.wheel_speeds(PlanarVelocity(0.3, 0.0, 1.0))])
     assert len(view._window) <= 2 * WINDOW_S / CLOSEST_S + 2  # two that are kept are at least half of it apart
     found = observed(view)
     assert found.rate_hz == pytest.approx(rate_hz, rel=0.02)

@@ -20,7 +20,7 @@ ways_m = st.floats(-0.1, 0.1)
 
 def rolled(speeds: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
     """(as believed, in truth) of the wheels at this velocity, in a period."""
-    believed = [speed * PERIOD_S for speed in BELIEVED.wheel_speeds(*speeds)]
+    believed = [speed * PERIOD_S for speed in BELIEVED.wheel_speeds(PlanarVelocity(speeds[0], yaw_rad_s=speeds[1]))]
     return (believed[0], believed[1]), (believed[0] * CORRECTION.left_factor, believed[1] * CORRECTION.right_factor)
 
 
@@ -32,8 +32,8 @@ def test_the_true_way_is_found_for_any_wheels(
     believed, true = DifferentialDrive(wheel_separation_m=nominal_m), DifferentialDrive(wheel_separation_m=true_m)
     odometry = truth = shown = Pose(1.0, -2.0, 3.0)
     for left_m, right_m in ways:
-        before, odometry = odometry, believed.integrate(odometry, left_m, right_m)
-        truth = true.integrate(truth, left_m * left, right_m * right)
+        before, odometry = odometry, believed.integrate(odometry, (left_m, right_m))
+        truth = true.integrate(truth, (left_m * left, right_m * right))
         shown = correction.advance(shown, before, odometry)
         assert shown[:2] == pytest.approx(truth[:2], abs=1e-9)
         assert wrap_angle(shown.theta_rad - truth.theta_rad) == pytest.approx(0.0, abs=1e-9)
@@ -42,7 +42,7 @@ def test_the_true_way_is_found_for_any_wheels(
 @given(ways_m, ways_m)
 def test_wheels_that_are_believed_rightly_change_nothing(left_m: float, right_m: float) -> None:
     before = Pose(0.5, 0.5, -3.1)
-    after = BELIEVED.integrate(before, left_m, right_m)
+    after = BELIEVED.integrate(before, (left_m, right_m))
     shown = OdometryCorrection().advance(before, before, after)
     assert shown[:2] == pytest.approx(after[:2], abs=1e-12)
     assert wrap_angle(shown.theta_rad - after.theta_rad) == pytest.approx(0.0, abs=1e-12)
@@ -86,7 +86,7 @@ def test_the_estimator_shows_the_truth_over_restarts_resets_and_cuts(history: li
             now_s += 8.0
         elif event == "drive":
             believed, true = rolled((linear_m_s, angular_rad_s))
-            reported, truth = BELIEVED.integrate(reported, *believed), TRUE.integrate(truth, *true)
+            reported, truth = BELIEVED.integrate(reported, believed), TRUE.integrate(truth, true)
         elif event == "leap over":  # damage: it is not believed
             estimator.update(Pose(300.0, 4.0, 0.0), now_s=now_s + PERIOD_S / 2, wall_ns=0)
         now_s += PERIOD_S
@@ -107,7 +107,7 @@ def test_the_motion_that_follows_from_the_poses_is_the_true_one() -> None:
     estimator, reported = OdometryEstimator(correction=CORRECTION), Pose()
     for number in range(10):
         estimator.update(reported, now_s=number * PERIOD_S, wall_ns=number)
-        reported = BELIEVED.integrate(reported, *rolled((0.2, 0.5))[0])
+        reported = BELIEVED.integrate(reported, rolled((0.2, 0.5))[0])
     true = CORRECTION.velocity(PlanarVelocity(0.2, yaw_rad_s=0.5))
     assert snapshot_of(estimator).twist == pytest.approx(true, rel=1e-6, abs=1e-9)
 

@@ -1,7 +1,6 @@
-"""The kinematics of a differential drive (docs/paper-robot.md#equations). Metres, radians, seconds."""
+"""Poses, angles and arcs in the plane. Metres, radians."""
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 SMALL_ANGLE_RAD = 1e-8  # below it an arc and its chord are equally long to the last digit of a double
@@ -29,6 +28,20 @@ def chord_per_arc(turned_rad: float) -> float:
     return 1.0 if abs(turned_rad) < SMALL_ANGLE_RAD else math.sin(half_rad) / half_rad
 
 
+def moved(pose: Pose, x_m: float, y_m: float, turned_rad: float) -> Pose:
+    """The pose after a motion with a constant velocity of the body: along an arc of a circle, at any length.
+
+    `x_m` and `y_m` are the ways forward and to the left along the arc: velocities times the duration. This is the
+    exponential of a planar twist: (x sin D - y (1 - cos D)) / D and (x (1 - cos D) + y sin D) / D for a turn of D, as
+    the chord and its direction, so that no digits get lost near D = 0.
+    """
+    chord, heading_rad = chord_per_arc(turned_rad), pose.theta_rad + turned_rad / 2
+    cos, sin = chord * math.cos(heading_rad), chord * math.sin(heading_rad)
+    return Pose(
+        pose.x_m + x_m * cos - y_m * sin, pose.y_m + x_m * sin + y_m * cos, wrap_angle(pose.theta_rad + turned_rad)
+    )
+
+
 def placed(frame: Pose, pose: Pose) -> Pose:
     """A pose in a frame, expressed in the frame around it."""
     cos, sin = math.cos(frame.theta_rad), math.sin(frame.theta_rad)
@@ -51,37 +64,3 @@ ORIGIN_M, ORIGIN_RAD = 0.05, 0.2  # how near the origin the first pose after a r
 
 def is_near_origin(pose: Pose) -> bool:
     return math.hypot(*pose[:2]) < ORIGIN_M and abs(pose.theta_rad) < ORIGIN_RAD
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DifferentialDrive:
-    """Two driven wheels on one axis; the defaults are the paper's robot."""
-
-    wheel_radius_m: float = 0.045
-    wheel_separation_m: float = 0.210  # the full one, wheel to wheel
-    ticks_per_turn: float = 230.4
-
-    @property
-    def metres_per_tick(self) -> float:
-        """Distance that a wheel rolls in one encoder tick."""
-        return math.tau * self.wheel_radius_m / self.ticks_per_turn
-
-    def wheel_speeds(self, linear_m_s: float, angular_rad_s: float) -> tuple[float, float]:
-        """(left, right) in m/s that give the body this velocity."""
-        turning_m_s = angular_rad_s * self.wheel_separation_m / 2
-        return linear_m_s - turning_m_s, linear_m_s + turning_m_s
-
-    def integrate(self, pose: Pose, left_m: float, right_m: float) -> Pose:
-        """The pose after the wheels rolled this far: along the arc of a circle.
-
-        The d/D sin D and d/D (1-cos D) of docs/paper-robot.md#equations, as the chord and its direction: no digits get
-        lost near D = 0.
-        """
-        turned_rad = (right_m - left_m) / self.wheel_separation_m
-        chord_m = (left_m + right_m) / 2 * chord_per_arc(turned_rad)
-        heading_rad = pose.theta_rad + turned_rad / 2
-        return Pose(
-            pose.x_m + chord_m * math.cos(heading_rad),
-            pose.y_m + chord_m * math.sin(heading_rad),
-            wrap_angle(pose.theta_rad + turned_rad),
-        )
