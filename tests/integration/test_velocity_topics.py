@@ -316,6 +316,7 @@ class TestOneRobot:
         async def test(made: Arm) -> None:
             base, arm = made.hub.join("base"), made.hub.join("arm")
             for first, second in ((base, base), (base, arm)):
+                base.publish(ARM, ZERO)  # it keeps the arm until it lets go of it
                 for _ in range(3):
                     first.publish(VELOCITY, twist(0.1))
                     second.publish(ARM, twist(0.2))
@@ -326,6 +327,24 @@ class TestOneRobot:
             await asyncio.sleep(0.05)
             assert made.device.payloads(VELOCITY_ID)[-1] == twist(0.1)
             assert made.device.payloads(ARM_ID)[-1] == ZERO
+
+        play_arm(test)
+
+    def test_take_over_of_one_topic_stops_the_others_that_its_driver_drives_at_once(self) -> None:
+        async def test(made: Arm) -> None:
+            script, other = made.hub.join("script"), made.hub.join("other")
+            robot = made.hub.robots.find(ROBOT)
+            script.publish(VELOCITY, twist(0.1))
+            script.publish(ARM, twist(0.3))
+            await asyncio.sleep(0.1)
+            assert made.device.payloads(ARM_ID)[-1] == twist(0.3)
+            other.drive(robot, PlanarVelocity(-0.2), take_over=True)
+            await asyncio.sleep(0.05)
+            assert made.device.payloads(VELOCITY_ID)[-1] == twist(-0.2)
+            assert made.device.payloads(ARM_ID)[-1] == ZERO
+            for name in (ARM, VELOCITY):
+                with pytest.raises(CommandRefused, match="other"):
+                    script.publish(name, twist(0.3))
 
         play_arm(test)
 
@@ -360,6 +379,7 @@ class TestOneRobot:
             person, script = made.hub.join("person", priority=60), made.hub.join("script")
             person.publish(ARM, twist(0.2))
             script.drive(made.hub.robots.find(NEIGHBOUR), PlanarVelocity(0.3))
+            script.leave()
 
         play_arm(test)
 
