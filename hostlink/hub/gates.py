@@ -691,5 +691,9 @@ class Gates:
         if self._guardian is not None and stops:
             claim_bytes = link.session.longest_to_device_bytes
             self._guardian.watch(
-                link.number, link.descriptor, zeros=tuple(stops), end=STOP_REQUEST, claim_bytes=claim_bytes
+                link.number,
+                link.descriptor,
+                zeros=tuple(stops[:MAX_GUARDED]),
+                end=STOP_REQUEST,
+                claim_bytes=claim_bytes,
             )
