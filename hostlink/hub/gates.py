@@ -681,7 +681,8 @@ class Gates:
     def _guard(self, drivable: Drivable, connection: "Device") -> None:
         """Give link and guardian the frames that stop the device when this process cannot."""
         link, stops = connection.link, connection.stop_frames
-        for info, zero in zip(drivable.endpoints, drivable.zeros, strict=True):
+        # Without a stamp: that of now would be old by then.
+        for info, zero in zip(drivable.endpoints, drivable.commands.encode(ZERO), strict=True):
             if info is not None:
                 frame = encode(info.topic_id, zero)
                 link.last_frame += frame
