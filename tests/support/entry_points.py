@@ -339,7 +339,7 @@ class Teleop(_Program):
     cannot: ClassVar = _IS_DROPPED | {
         **dict.fromkeys(_EPOCHS, "a key has no epoch; the client sends it"),
         "a velocity that is not finite": "its speeds are steps from a finite one",
-        **dict.fromkeys(_SIDEWAYS, "it has no keys for it"),
+        **dict.fromkeys(_SIDEWAYS, "its keys go sideways at the speed of forward"),
     }
 
     def _begin(self) -> None:
