@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import functools
 import ipaddress
+import math
 import re
 import typing
 import urllib.parse
@@ -206,6 +207,46 @@ class CalibrationConfig:
             raise ValueError(f"a calibration may change a value by a factor of at most {MOST_CALIBRATION:g}")
 
 
+Unit = Literal["ticks", "rad", "m", "ticks/s", "rad/s", "rpm", "m/s"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncodersConfig:
+    """What the wheels of a robot report: counts, angles or speeds. The host integrates them to its odometry."""
+
+    topics: tuple[str, ...] = ()  # one for each wheel, such as ["left_ticks", "right_ticks"]
+    topic: str | None = None  # alternative: one topic with an array, or a JointState
+    joints: tuple[str, ...] = ()  # of the JointState: its names of the wheels
+    wheels: tuple[str, ...] = ()  # the wheel of each topic, value or joint; empty: in the order of the drive's wheels
+    directions: tuple[Literal[1, -1], ...] = ()  # -1: the count falls when the robot drives forward
+    unit: Unit = "ticks"
+    counts: Literal["absolute", "differences"] = "absolute"  # differences: since the message before
+    ticks_per_turn: float | None = None  # of the wheel, with the gear between motor and wheel
+    wheel_radius_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if bool(self.topics) == (self.topic is not None):
+            raise ValueError("encoders need either topics (one for each wheel) or topic (an array or a JointState)")
+        if len(set(self.topics)) < len(self.topics) or len(self.topics) > MAX_WHEELS:
+            raise ValueError(f"topics must be at most {MAX_WHEELS} different names")
+        for name, value in (("ticks_per_turn", self.ticks_per_turn), ("wheel_radius_m", self.wheel_radius_m)):
+            if value is not None and not 0 < value < math.inf:
+                raise ValueError(f"{name} must be a finite number above zero, not {value}")
+        if self.counts == "differences" and self.unit not in ("ticks", "rad", "m"):
+            raise ValueError(f'counts = "differences" does not fit unit = "{self.unit}", which is a speed')
+        counts = {len(each) for each in (self.topics, self.joints, self.wheels, self.directions) if each}
+        if len(counts) > 1:
+            raise ValueError("topics, joints, wheels and directions must have one entry for each wheel")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeedbackConfig:
+    """Topic of the device that tells how the robot moves, where its type and name do not."""
+
+    topic: str | None = None  # None: recognised; "": the robot has none, whatever its topics look like
+
+
+MAX_WHEELS = 8
 MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
 
 
@@ -233,10 +274,14 @@ class RobotConfig:
     base_frame: str | None = None  # None: "<robot>/base_link"
     # For a device that keeps its own constants.
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    encoders: EncodersConfig | None = None
+    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
     publish_tf: bool = True  # false if another node publishes the transform between these frames
     resume_after_reconnect_s: float = 0.0  # a program that continues to command may continue after a shorter absence
 
     def __post_init__(self) -> None:
+        if self.encoders is not None and self.feedback.topic is not None:
+            raise ValueError("set either encoders or feedback.topic: a robot's motion is known by one of them")
         if not 0 <= self.resume_after_reconnect_s <= MAX_RESUME_S:
             raise ValueError(f"resume_after_reconnect_s must be a number from 0 to {MAX_RESUME_S:g}")
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import msgspec
 import structlog
 
-from hostlink.config import CalibrationConfig, RobotConfig
+from hostlink.config import CalibrationConfig, FeedbackConfig, RobotConfig
 from hostlink.errors import BadPayload, CommandRefused, DeviceGone, HostlinkError
 from hostlink.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
 from hostlink.hub.message import Message
@@ -24,6 +24,7 @@ from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, Command
+from hostlink.robot.feedback import FeedbackSettings
 from hostlink.robot.names import SURE_S, RobotTopicNames
 from hostlink.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, aged_rate_hz
 from hostlink.robot.readings import READERS
@@ -31,6 +32,7 @@ from hostlink.robot.standstill import OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import Limits, VelocityGate
+from hostlink.robot.wheel_feedback import WheelSettings
 
 log = structlog.get_logger()
 
@@ -51,6 +53,8 @@ def of_namesake(config: RobotConfig | None) -> RobotConfig:
         cmd_vel_stamped_topic=None,
         odom_frame=None,
         base_frame=None,
+        encoders=None,
+        feedback=FeedbackConfig(),
         calibration=CalibrationConfig(),
     )
 
@@ -61,6 +65,13 @@ def correction_of(config: RobotConfig) -> OdometryCorrection | None:
     if calibration == CalibrationConfig():
         return None
     return OdometryCorrection(**dataclasses.asdict(calibration))
+
+
+def feedback_settings_of(config: RobotConfig) -> FeedbackSettings:
+    """Return what the settings say of the topics that tell how the robot moves."""
+    encoders = config.encoders
+    wheels = None if encoders is None else WheelSettings(**dataclasses.asdict(encoders))
+    return FeedbackSettings(topic=config.feedback.topic, encoders=wheels)
 
 
 @functools.lru_cache(maxsize=256)  # most robots have the same settings
