@@ -13,6 +13,7 @@ import msgspec
 import structlog
 
 from hostlink.config import CalibrationConfig, FeedbackConfig, RobotConfig
+from hostlink.diagnosis.motion_monitor import RECENT_S, Speed
 from hostlink.errors import BadPayload, CommandRefused, DeviceGone, HostlinkError
 from hostlink.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
 from hostlink.hub.message import Message
@@ -27,7 +28,7 @@ from hostlink.robot.admission import EPOCH_BITS, Admission, Command
 from hostlink.robot.feedback import FeedbackSettings
 from hostlink.robot.names import SURE_S, RobotTopicNames
 from hostlink.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, aged_rate_hz
-from hostlink.robot.readings import READERS
+from hostlink.robot.readings import READERS, OdometryReading
 from hostlink.robot.standstill import OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import PlanarVelocity
@@ -303,18 +304,26 @@ class LocalRobot(Drivable, AnyRobot):
         link = self.link
         if link is None:
             return "its device is not connected"
+        flawed = self.flawed_poses(loop_time_s())
+        if flawed:
+            return f"it sent {flawed} in the last {RECENT_S:.0f} s"
         if self.odometry.count == 0:
             return "it sends no odometry"
         if link.silent_s > OLD_S:
             return f"nothing has come from its device for {link.silent_s:.1f} s"
         return "no odometry has come since the stop"
 
+    def flawed_poses(self, now_s: float) -> str:
+        """Return what is wrong with the poses of the last half minute, such as "10 poses with NaN"; empty: nothing."""
+        return "" if self.connection is None else self.connection.diagnosis.monitor.motion.evidence(now_s).without_pose
+
     def receive_odometry(self, message: Message) -> None:
         """Receive a message of the odometry topic. Messages that did not arrive on the robot's own link are ignored."""
         link = None if self.connection is None else self.connection.link
         if message.source is not link or message.type_name != self.topics.odometry_type:
             return
-        count = self.odometry.count
+        odometry = self.odometry
+        count, ignored, restarts = odometry.count, odometry.ignored, odometry.restarts
         try:
             reading = READERS[message.type_name](message.payload)
         except BadPayload as error:
@@ -323,17 +332,31 @@ class LocalRobot(Drivable, AnyRobot):
             return
         stamp_ns = message.stamp_ns
         if reading.pose is None:
-            self.odometry.ignored += 1
+            odometry.ignored += 1
+            self._judge(reading, message.at_s)
             return
         if reading.stamp_ns is not None and link is not None:  # by the device's clock
             stamp_ns = link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
         is_stamped = bool(reading.stamp_ns)
-        self.odometry.update(
-            reading.pose, now_s=message.at_s, wall_ns=stamp_ns, twist=reading.twist, is_stamped=is_stamped
-        )
-        if self.odometry.count > count:
+        odometry.update(reading.pose, now_s=message.at_s, wall_ns=stamp_ns, twist=reading.twist, is_stamped=is_stamped)
+        self._judge(reading, message.at_s, is_jump=(odometry.ignored, odometry.restarts) != (ignored, restarts))
+        if odometry.count > count:
             for follow in tuple(self.followers.values()):  # one may leave meanwhile
                 follow(message)
+
+    def _judge(self, reading: OdometryReading, now_s: float, *, is_jump: bool = False) -> None:
+        """Let the diagnosis of the link judge a reading, also against the velocity that the device was sent."""
+        if self.connection is None:
+            return
+        monitor = self.connection.diagnosis.monitor.motion
+        monitor.observe(reading.flaws, now_s, frame_id=reading.frame_id, is_jump=is_jump)
+        commanded = self.gate.current
+        measured = None if commanded.is_zero else self.odometry.snapshot(now_s)
+        if measured is not None and measured.twist is not None:
+            twist = measured.twist
+            monitor.compare(Speed(commanded.x_m_s, commanded.yaw_rad_s), Speed(twist.x_m_s, twist.yaw_rad_s), now_s)
+        elif commanded.is_zero:
+            monitor.compare(Speed(), Speed(), now_s)
 
     def receive_battery(self, payload: bytes) -> None:
         """Receive a message of the battery's topic."""

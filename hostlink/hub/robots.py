@@ -252,6 +252,7 @@ class Robots:
         robot.topics, robot.shown, robot.velocity_topic = topics, shown, topics.velocity
         robot.battery = None
         device.robot = robot
+        device.diagnosis.monitor.motion.topic = topics.odometry or ""
         self._away.remove(name)
         self._gates.attach(robot, device)
         self._hub.note_robot(name)
