@@ -212,7 +212,7 @@ Unit = Literal["ticks", "rad", "m", "ticks/s", "rad/s", "rpm", "m/s"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EncodersConfig:
-    """What the wheels of a robot report: counts, angles or speeds. The host integrates them to its odometry."""
+    """Reports of a robot's wheels: counts, angles or speeds. The host integrates them to its odometry."""
 
     topics: tuple[str, ...] = ()  # one for each wheel, such as ["left_ticks", "right_ticks"]
     topic: str | None = None  # alternative: one topic with an array, or a JointState
@@ -243,7 +243,7 @@ class EncodersConfig:
 class FeedbackConfig:
     """Topic of the device that tells how the robot moves, where its type and name do not."""
 
-    topic: str | None = None  # None: recognised; "": the robot has none, whatever its topics look like
+    topic: str | None = None  # None: recognised; "": none of its topics tells it
 
 
 MAX_WHEELS = 8

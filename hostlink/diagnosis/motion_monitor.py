@@ -35,7 +35,7 @@ class Speed(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class MotionEvidence:
-    """What the readings of the last RECENT_S show; `total` counts them since the link opened."""
+    """Evidence of the readings of the last RECENT_S; `total` counts them since the link opened."""
 
     topic: str = ""  # empty: the link has no robot whose motion is known
     total: int = 0
@@ -59,7 +59,7 @@ class MotionEvidence:
 
     @property
     def without_pose(self) -> str:
-        """Why the recent messages gave no pose, such as "10 poses with NaN or infinity"; empty if they did."""
+        """Reason why the recent messages gave no pose, such as "10 poses with NaN or infinity"; empty if they did."""
         found = [f"{self.counts[flaw]} {text}" for flaw, text in NO_POSE.items() if self.counts.get(flaw)]
         return ", ".join(found)
 

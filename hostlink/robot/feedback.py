@@ -23,7 +23,7 @@ from hostlink.robot.wheel_feedback import WheelFeedback, WheelSettings
 
 
 class FeedbackKind(StrEnum):
-    """What is known of a robot's motion."""
+    """Knowledge of a robot's motion."""
 
     POSE = "pose"  # and its velocity
     VELOCITY = "velocity"
@@ -33,9 +33,9 @@ class FeedbackKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FeedbackSettings:
-    """What a robot's settings say of its feedback. Without any, it is recognised."""
+    """Settings of a robot's feedback. Without any, it is recognised."""
 
-    topic: str | None = None  # of its pose or velocity; "": it has none, whatever its topics look like
+    topic: str | None = None  # of its pose or velocity; "": none of its topics tells it
     encoders: WheelSettings | None = None
 
 
@@ -94,7 +94,7 @@ class Feedback:
 
     @property
     def restarts(self) -> int:
-        """How often the counts of the wheels began anew."""
+        """Number of times that the counts of the wheels began anew."""
         return 0 if self._wheels is None else self._wheels.restarts
 
     def restart(self) -> None:

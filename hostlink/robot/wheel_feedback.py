@@ -151,7 +151,7 @@ def _counted(payload: bytes, at: int) -> tuple[int, int]:
 
 
 def _array(format_: struct.Struct, payload: bytes) -> tuple[float, ...]:
-    """Values of a MultiArray, whatever its layout says."""
+    """Return the values of a MultiArray. Its layout is ignored."""
     dimensions, at = _counted(payload, 0)
     for _ in range(dimensions):
         (size,) = _COUNT.unpack_from(payload, at)

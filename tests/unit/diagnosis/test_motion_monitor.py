@@ -48,14 +48,14 @@ def test_flaw_of_most_messages_is_a_finding_until_they_are_old(flaw: str, code: 
 
 
 @pytest.mark.parametrize("flaw", ["not_finite", "zero_quaternion", "heading_in_z", "zero_stamp", "zero_covariance"])
-def test_flaw_of_two_messages_is_no_finding(flaw: str) -> None:
+def test_flaw_of_two_messages_is_not_a_finding(flaw: str) -> None:
     monitor = monitored((flaw,), 2)
     for number in range(20):
         monitor.observe((), 0.2 + number * 0.1)
     assert found(monitor, 3.0) == {}
 
 
-def test_stamps_of_zero_before_the_first_time_answer_are_no_finding() -> None:
+def test_stamps_of_zero_before_the_first_time_answer_are_not_a_finding() -> None:
     monitor = monitored(("zero_stamp",), 20)
     for number in range(30):
         monitor.observe((), 2.0 + number * 0.1)

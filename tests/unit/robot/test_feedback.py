@@ -139,7 +139,7 @@ def test_counts_give_a_reading_when_both_wheels_have_reported() -> None:
     assert found.pose == pytest.approx(Pose(20 * M_PER_TICK))
 
 
-def test_counts_of_a_board_that_restarts_are_no_leap() -> None:
+def test_counts_of_a_board_that_restarts_do_not_leap() -> None:
     feedback = pair()
     for number in range(20):
         before = feed(feedback, 1000 + 10 * number, 1000 + 10 * number, number * 0.1)
@@ -153,7 +153,7 @@ def test_counts_of_a_board_that_restarts_are_no_leap() -> None:
     assert found.pose == pytest.approx(Pose(200 * M_PER_TICK))
 
 
-def test_counts_of_a_board_that_restarts_in_silence_are_no_leap() -> None:
+def test_counts_of_a_board_that_restarts_in_silence_do_not_leap() -> None:
     feedback = pair()
     feed(feedback, 300, 300, 0.0)
     found = feed(feedback, 5, 5, 8.0)
@@ -162,7 +162,7 @@ def test_counts_of_a_board_that_restarts_in_silence_are_no_leap() -> None:
 
 
 @pytest.mark.parametrize("speed", [3, 20, -20])
-def test_counts_that_roll_through_zero_are_no_restart(speed: int) -> None:
+def test_counts_that_roll_through_zero_are_not_a_restart(speed: int) -> None:
     feedback = pair()
     start = -6 * speed
     for number in range(13):
@@ -173,7 +173,7 @@ def test_counts_that_roll_through_zero_are_no_restart(speed: int) -> None:
     assert found.pose.x_m == pytest.approx(12 * speed * M_PER_TICK)
 
 
-def test_counts_of_a_start_are_no_restart() -> None:
+def test_counts_of_a_start_are_not_a_restart() -> None:
     feedback = pair()
     feed(feedback, 0, 0, 0.0)
     found = feed(feedback, 60, 60, 0.5)
