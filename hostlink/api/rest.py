@@ -413,7 +413,7 @@ class Rest:
         robot = self._find(request)
         odometry = robot.odometry.snapshot(loop_time_s())
         if odometry is None:
-            raise DeviceGone(f"{robot.name}: no odometry has arrived yet")
+            raise DeviceGone(robot.name, robot.why_unknown())
         return reply(odometry_view(odometry))
 
     async def _velocity(self, request: web.Request) -> web.Response:
