@@ -181,7 +181,7 @@ async def test_motion_that_is_stopped_by_another_is_not_resumed(
     assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "disarmed", "a stop by the page")
     await asyncio.sleep(0.2)
     assert here.is_zero
-    with pytest.raises(CommandRefused, match="robot_0 was stopped: .*a stop by the page") as refused:
+    with pytest.raises(CommandRefused, match=r"robot_0 was stopped: .*a stop by the page") as refused:
         await motion(here.robot)  # the program has not let go since
     assert (refused.value.kind, refused.value.by) == (RefusalKind.DISARMED, "a stop by the page")
     assert here.is_zero
@@ -270,7 +270,7 @@ async def test_end_of_a_replaced_motion_leaves_the_notice_of_the_newer_drive(
     here.made.hub.robots.find_here(ROBOT).lock("a person is near")
     assert (await task).kind == "program"
     await asyncio.sleep(0.5)
-    with pytest.raises(HostlinkError, match="robot_0 was stopped: .*resume=True"):
+    with pytest.raises(HostlinkError, match=r"robot_0 was stopped: .*resume=True"):
         await here.robot.drive(-0.1, 0.0)
 
 
