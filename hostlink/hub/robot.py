@@ -14,7 +14,7 @@ import structlog
 
 from hostlink.config import CalibrationConfig, FeedbackConfig, RobotConfig, WheelsConfig
 from hostlink.diagnosis.motion_monitor import RECENT_S, Speed
-from hostlink.errors import BadPayload, CommandRefused, ConfigError, DeviceGone, HostlinkError
+from hostlink.errors import BadPayload, CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
 from hostlink.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node, address_of
@@ -513,7 +513,14 @@ class RobotHosts(RemoteHosts, Protocol):
     """Interface to the daemons of remote robots."""
 
     def drive(
-        self, robot: "RemoteRobot", velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
+        self,
+        robot: "RemoteRobot",
+        velocity: PlanarVelocity,
+        *,
+        owner: Hashable,
+        priority: int,
+        epoch: int | None,
+        take_over: bool,
     ) -> None:
         """Send a command of a source. Its refusal is raised by the next command, or by `answer`."""
         ...
@@ -610,10 +617,18 @@ class RemoteRobot(AnyRobot):
         command = self.gates.timed(self.name, command, loop_time_s())
         self._check_unique()
         decision = self.admission.decide(command, loop_time_s())
+        is_zero = command.velocity.is_zero and command.is_planar
+        if decision.is_admitted or (is_zero and decision.kind is RefusalKind.HELD):  # it lets go there, too
+            self.hosts.drive(
+                self,
+                command.velocity,
+                owner=command.source,
+                priority=command.priority,
+                epoch=None if command.epoch is None else self._epoch,
+                take_over=command.take_over,
+            )
         if decision.kind is not None:
             raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder, by=decision.by)
-        epoch = None if command.epoch is None else self._epoch
-        self.hosts.drive(self, command.velocity, owner=command.source, priority=command.priority, epoch=epoch)
         return command.velocity
 
     def answer(self, owner: Hashable) -> Awaitable[PlanarVelocity]:
