@@ -13,7 +13,7 @@ import structlog
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import ConfigError
-from hostlink.graphs.zenoh.lingering import SWEEP_INTERVAL_S, LingerSweep
+from hostlink.graphs.zenoh.lingering import SWEEP_INTERVAL_S, end_lingering
 from hostlink.graphs.zenoh.settings import library, reach_of, reason_of, settings_of
 from hostlink.hub.isolation import Isolation
 from hostlink.logs import printable
@@ -256,9 +256,8 @@ class ZenohSession:
 
     async def run(self) -> None:
         """Keep the end of one link from delaying all others, until the session is closed."""
-        sweep = LingerSweep()
         while not self._is_closed:
-            self.counts["links"] += sweep.sweep()
+            self.counts["links"] += end_lingering()
             await asyncio.sleep(SWEEP_INTERVAL_S)
 
     async def aclose(self) -> None:
