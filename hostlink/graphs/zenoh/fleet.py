@@ -77,7 +77,7 @@ class FleetStates:
         known = (topics, *(msgspec.structs.replace(each, **_UNSTEADY) for each in states))
         if now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known:
             self._due_s, self._known = now_s + STATE_INTERVAL_S, known
-            self._states.put(encode(State(sent_s=now_s, topics=topics, robots=states)))
+            self._states.put(encode(State(sent_s=self._transport.clock_s(now_s), topics=topics, robots=states)))
         elif self._is_live:
             self._send_motions(states)
 
@@ -105,7 +105,8 @@ class FleetStates:
     def end(self) -> None:
         """Tell the other daemons that this one ends, which stops its robots."""
         last = tuple(msgspec.structs.replace(each, link=None, holder=None) for each in self.states())
-        self._states.put(encode(State(sent_s=loop_time_s(), topics=self._topics, robots=last, is_last=True)))
+        sent_s = self._transport.clock_s(loop_time_s())
+        self._states.put(encode(State(sent_s=sent_s, topics=self._topics, robots=last, is_last=True)))
 
     def close(self) -> None:
         """Withdraw both publishers."""
@@ -282,7 +283,8 @@ class Fleet:
         counts: Counter[str] = Counter()
         hub.counts.graphs["fleet"] = lambda: counts
         me = Sender(config.name or sender_name(socket.gethostname()), session.zid)
-        self._hub, self._transport = hub, FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers)
+        self._hub = hub
+        self._transport = FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers, hub.slept_s)
         self._roster = FleetRoster(counts, forget_after_s=hub.config.link.forget_robot_after_s)
         self._states = FleetStates(hub, self._transport)
         self._drivers = FleetDrivers(hub, self._transport, self._roster)
