@@ -358,6 +358,8 @@ class Fleet:
         self._robots.apply(self._names_here())
         self._robots.follow(now_s)
         self._tell_unheard()
+        for sender in self._roster.pop_stuck(now_s):
+            self._relink(sender)
         if self._dropped != transport.session.counts["dropped"] and now_s >= self._found_at_s + FIND_INTERVAL_S:
             self._find_daemons(now_s)  # what was dropped may have been a token
 
@@ -377,6 +379,16 @@ class Fleet:
         else:
             text = "every host of the fleet is heard again"
         self._hub.rosout.warn("fleet", text)
+
+    def _relink(self, sender: Sender) -> None:
+        """Close the links to a daemon that has a token and sends nothing: Zenoh connects again.
+
+        After a freeze of a host, Zenoh may take a new link for one of the earlier connection. It then sends no
+        declarations over it, so that the other daemon never learns who subscribes here.
+        """
+        self._transport.counts["relinked"] += 1
+        log.warning("fleet.silent_link_closed", host=printable(sender.name), zid=printable(sender.zid))
+        self._transport.session.close_links(sender.zid)
 
     def _names_here(self) -> set[str]:
         """Return robots here whose name another daemon has too: one of them may have connected or left."""

@@ -1,4 +1,4 @@
-"""SO_LINGER of Zenoh's sockets, which is turned off: the end of one link must not delay the others.
+"""Sockets of Zenoh: SO_LINGER is turned off, so that the end of one link does not delay the others.
 
 Zenoh closes each TCP and TLS link with SO_LINGER of 10 s, in a thread that reads for all links. When a host vanishes,
 bytes to it are unacknowledged, so that `close` waits for 10 s, and nothing is read from healthy hosts meanwhile
@@ -41,10 +41,30 @@ def lingers() -> dict[int, bytes]:
     return found
 
 
+def shut_down(ends: set[tuple[str, str]]) -> int:
+    """Shut down the connections between these ends, own and other one, as Zenoh names them. Return their number."""
+    count = 0
+    places = {(own.partition("/")[2], other.partition("/")[2]) for own, other in ends}  # without tcp/ or tls/
+    for descriptor in lingers():
+        with contextlib.suppress(OSError), _borrowed(descriptor, -1) as one:  # it listens, or was closed meanwhile
+            if (_place(one.getsockname()), _place(one.getpeername())) in places:
+                one.shutdown(socket.SHUT_RDWR)
+                count += 1
+    return count
+
+
+def _place(address: object) -> str:
+    """Return the address of a socket of TCP as in a locator of Zenoh; empty for another socket."""
+    if not isinstance(address, tuple):
+        return ""
+    host = address[0]
+    return f"[{host}]:{address[1]}" if ":" in host else f"{host}:{address[1]}"
+
+
 @contextlib.contextmanager
-def _borrowed(descriptor: int) -> Iterator[socket.socket]:
-    """Use a descriptor as a socket; it stays its owner's. The option has no family: none is asked for."""
-    one = socket.socket(socket.AF_INET, socket.SOCK_STREAM, 0, descriptor)
+def _borrowed(descriptor: int, family: int = socket.AF_INET) -> Iterator[socket.socket]:
+    """Use a descriptor as a socket; it stays its owner's. Its options do not need its family, its addresses do."""
+    one = socket.socket(family, socket.SOCK_STREAM, 0, descriptor)
     try:
         yield one
     finally:

@@ -711,6 +711,25 @@ async def test_program_whose_computer_has_slept_drives_robots_of_other_hosts(wor
 
 
 @inside(with_fleet)
+async def test_daemon_whose_messages_do_not_arrive_although_it_has_a_token_is_connected_anew(world: World) -> None:
+    """The state of Zenoh after a freeze of one host: no subscription of one side is known to the other."""
+    world.network.mute.add(("1a", "2b"))
+    await asyncio.sleep(SILENT_S + 0.5)
+    assert world.robot().link is None
+    assert world.network.closed == []
+    await asyncio.sleep(4.0)
+    assert world.network.closed == [("2b", "1a")]
+    assert world.robot().link is not None
+
+
+@inside(with_fleet)
+async def test_daemon_that_stays_silent_is_connected_anew_at_a_limited_rate(world: World) -> None:
+    world.network.deaf.add("2b")
+    await asyncio.sleep(29.5)
+    assert 3 <= len(world.network.closed) <= 5
+
+
+@inside(with_fleet)
 async def test_daemon_that_hears_no_other_tells_its_users(world: World) -> None:
     told: list[str] = []
     rosout = world.desk.topics.find("/rosout")

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hostlink.graphs.zenoh.lingering import ZENOHS, end_lingering
+from hostlink.graphs.zenoh.lingering import ZENOHS, end_lingering, shut_down
 
 
 @pytest.fixture
@@ -41,3 +41,26 @@ def test_socket_that_zenoh_connects_after_it_was_seen_is_closed_without_waiting(
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ZENOHS)
     assert end_lingering() == 1
     assert linger(opened)[:4] == bytes(4)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+def test_only_the_connection_between_two_ends_is_shut_down(host: str) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listener = socket.create_server((host, 0), family=family)
+    except OSError:
+        pytest.skip("no IPv6 here")
+    where = (host, listener.getsockname()[1])
+    with (
+        listener,
+        socket.create_connection(where) as one,
+        listener.accept()[0] as other,
+        socket.create_connection(where) as third,
+        listener.accept()[0] as fourth,
+    ):
+        shown = f"[{host}]" if ":" in host else host
+        ends = [f"tcp/{shown}:{each.getsockname()[1]}" for each in (one, other)]
+        assert shut_down({(ends[0], ends[1])}) == 1
+        assert other.recv(1) == b""
+        third.sendall(b"x")
+        assert fourth.recv(1) == b"x"
