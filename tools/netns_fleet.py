@@ -38,7 +38,6 @@ CLONE_NEWNET = 0x40000000
 DEAF_S, STOPPED_S, AGAIN_S, IN_FORCE_S = 2.0, 1.0, 20.0, 3.0  # promised; the machine may be busy
 STOP_AFTER_S, WATCH_S, POLL_S, COMMAND_S, TIMEOUT_S = 4.0, 12.0, 0.5, 0.1, 180.0
 SPEED_M_S = 0.2
-PAUSE_S = 0.4  # the daemon takes 0.5 s without a command for an end of the drive
 REFUSED = 409
 API, DEVICES = "http://127.0.0.1:9090", ("127.0.0.1", 11411)
 
@@ -68,8 +67,6 @@ class Host:
         self.number, self.namespace, self.robot = number, f"{prefix}-{number}", f"robot_{number}"
         self._hub = f"{prefix}-hub"
         self.velocities: list[tuple[float, float]] = []  # when, m/s
-        self.pauses: list[float] = []  # ends of pauses of the program, on a busy machine: each armed it again
-        self._commanded_s = 0.0
         self.is_driving = False
         self.may_arm = True  # until a stop is measured
         self._config = config
@@ -118,14 +115,9 @@ class Host:
         return {each["name"] for each in robots if each["connected"]}
 
     def stopped_after_s(self, since_s: float) -> float:
-        """Seconds until the robot's last velocity of this time was zero; infinite if it still moves.
-
-        A pause of its program after that ends this time.
-        """
-        until_s = min((at_s for at_s in self.pauses if at_s > since_s), default=float("inf"))
-        known = [(at_s, speed) for at_s, speed in self.velocities if at_s < until_s]
-        last_s = max((at_s for at_s, speed in known if speed), default=since_s)
-        zero_s = min((at_s for at_s, speed in known if not speed and at_s > last_s), default=float("inf"))
+        """Seconds until the robot's last velocity of this time was zero; infinite if it still moves."""
+        last_s = max((at_s for at_s, speed in self.velocities if speed), default=since_s)
+        zero_s = min((at_s for at_s, speed in self.velocities if not speed and at_s > last_s), default=float("inf"))
         return max(zero_s - since_s, 0.0)  # 0: it was at zero already
 
     async def _be_robot(self) -> None:
@@ -152,9 +144,6 @@ class Host:
         while True:
             if self.is_driving:
                 velocity = {"linear": SPEED_M_S, "angular": 0.0}
-                if now_s() > self._commanded_s + PAUSE_S:
-                    self.pauses.append(now_s())
-                self._commanded_s = now_s()
                 status, _ = await self.request("PUT", f"/api/robots/{self.robot}/velocity", json=velocity)
                 if status == REFUSED and self.may_arm:  # a pause of its busy daemon has disarmed it
                     await self.request("PUT", f"/api/robots/{self.robot}/velocity", json=dict.fromkeys(velocity, 0.0))
