@@ -94,6 +94,7 @@ class Hub:
             WeakValueDictionary()
         )  # by group, while participants use them
         self.events = RobotEvents()
+        self.slept_s = slept_s
         self.gates = Gates(self.isolation, guard, self.events, slept_s=slept_s)
         self.share = FairShare(self.gates.came_s)  # of the event loop, for links and participants
         self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses, catalog.least_bytes, slept_s)

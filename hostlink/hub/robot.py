@@ -332,9 +332,19 @@ class RobotHosts(RemoteHosts, Protocol):
     """Interface to the daemons of remote robots."""
 
     def drive(
-        self, robot: "RemoteRobot", velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
+        self,
+        robot: "RemoteRobot",
+        velocity: PlanarVelocity,
+        *,
+        owner: Hashable,
+        priority: int,
+        received_s: float,
+        epoch: int | None,
     ) -> None:
-        """Send a command of a source. Its refusal is raised by the next command, or by `answer`."""
+        """Send a command of a source, which lasts for a lease from `received_s` on.
+
+        Its refusal is raised by the next command, or by `answer`.
+        """
         ...
 
     def answer(self, robot: "RemoteRobot", owner: Hashable) -> Awaitable[PlanarVelocity]:
@@ -430,8 +440,15 @@ class RemoteRobot(AnyRobot):
         decision = self.admission.decide(command, loop_time_s())
         if decision.kind is not None:
             raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder, by=decision.by)
-        epoch = None if command.epoch is None else self._epoch
-        self.hosts.drive(self, command.velocity, owner=command.source, priority=command.priority, epoch=epoch)
+        lease = self.admission.driver("", loop_time_s())  # None for a zero
+        self.hosts.drive(
+            self,
+            command.velocity,
+            owner=command.source,
+            priority=command.priority,
+            received_s=command.received_s if lease is None else lease.deadline_s - self.admission.lease_s,
+            epoch=None if command.epoch is None else self._epoch,
+        )
         return command.velocity
 
     def answer(self, owner: Hashable) -> Awaitable[PlanarVelocity]:

@@ -245,9 +245,16 @@ class FleetRequests:
     # -- RobotHosts ---------------------------------------------------------------------------------------------------
 
     def drive(
-        self, robot: RemoteRobot, velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
+        self,
+        robot: RemoteRobot,
+        velocity: PlanarVelocity,
+        *,
+        owner: Hashable,
+        priority: int,
+        received_s: float,
+        epoch: int | None,
     ) -> None:
-        """Send a command of an owner.
+        """Send a command of an owner. It is as old there as here, and older by its way.
 
         Raises:
             HostlinkError: the previous command was refused, and its sender does not know it yet.
@@ -268,7 +275,7 @@ class FleetRequests:
             del self._waiting[next(iter(self._waiting))]
         request = FleetCommand(
             number=command.number,
-            sent_s=now_s,
+            sent_s=self._transport.clock_s(received_s),
             robot=robot.name,
             owner=self._owners[owner],
             owner_name=printable(str(owner)),
