@@ -25,6 +25,14 @@ from tests.support.scripted_device import ScriptedDevice
 MASK = b"\x0f\xf0\x55\xaa"
 
 
+def text_frame(**fields: Any) -> bytes:
+    """Encode a WebSocket message, masked as of a client."""
+    data = json.dumps(fields).encode()
+    masked = bytes(byte ^ MASK[index % 4] for index, byte in enumerate(data))
+    head = bytes((0x81, 0x80 | len(data))) if len(data) < 126 else b"\x81\xfe" + len(data).to_bytes(2, "big")
+    return head + MASK + masked
+
+
 class FakeSocket:
     """The socket of a transport, for its options."""
 
@@ -128,11 +136,8 @@ class ApiPeer:
         self.send("\r\n".join(lines).encode())
 
     def send_text(self, **fields: Any) -> None:
-        """Let a WebSocket message arrive, masked as of a client."""
-        data = json.dumps(fields).encode()
-        masked = bytes(byte ^ MASK[index % 4] for index, byte in enumerate(data))
-        head = bytes((0x81, 0x80 | len(data))) if len(data) < 126 else b"\x81\xfe" + len(data).to_bytes(2, "big")
-        self.send(head + MASK + masked)
+        """Let a WebSocket message arrive."""
+        self.send(text_frame(**fields))
 
     def send_close(self) -> None:
         """Let the frame arrive that ends a WebSocket."""
