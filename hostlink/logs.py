@@ -10,7 +10,7 @@ Services         service.late, service.failed, service.crashed, service.cut, ser
 Clients          client.connected, client.closed, client.broken, client.too_slow, client.too_fast,
                  client.refused, client.unknown_op, client.crowded, client.malformed, client.origin_refused
 The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
-                 daemon.stalled,
+                 daemon.stalled, daemon.diagnosed,
                  task.crashed, diagnosis.crashed, systemd.notify_failed, config.suspicious, config.reloaded,
                  config.refused, descriptors.exhausted, loop.error, library.complained
 Recordings       recording.started, recording.stopped, recording.stored, recording.failed, incident.begun,

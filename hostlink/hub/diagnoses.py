@@ -127,6 +127,7 @@ class Diagnoses:
         self._host_clock = ""
         self._lines = RateLimit(1 / LOG_AGAIN_S, burst=1)  # of each address and code
         self.ports: dict[str, Finding] = {}  # serial ports that cannot be opened
+        self.own: dict[str, Finding] = {}  # of the daemon's own parts, by their names
         self.refused = RefusedLately()
 
     def observe_port(self, name: str, error: OSError | None) -> None:
@@ -135,6 +136,14 @@ class Diagnoses:
             self.ports.pop(name, None)
         else:
             self.ports[name] = port_finding(error)
+
+    def observe_own(self, part: str, found: Finding | None) -> None:
+        """Note what is wrong with a part of the daemon; None: nothing. A new finding is logged."""
+        known = self.own.pop(part, None)
+        if found is not None:
+            self.own[part] = found
+            if known is None or known.code != found.code:
+                log.warning("daemon.diagnosed", part=part, **dataclasses.asdict(found))
 
     def begin(self, link: Link) -> Diagnosis:
         """Create the diagnosis of a new link."""
@@ -201,7 +210,8 @@ class Diagnoses:
         now_s = loop_time_s()
         is_connected = bool(self._live) or any(now_s - each.ended_at_s < RECENT_S for each in self.ended)
         refused = self.refused.recent(now_s)
-        return daemon_findings(self.ports.values(), refused, is_connected=is_connected, listening=listening)
+        ports, own = self.ports.values(), self.own.values()
+        return daemon_findings(ports, refused, own, is_connected=is_connected, listening=listening)
 
     def numbers(self) -> list[int]:
         """Return the numbers of all links that have a diagnosis."""
