@@ -94,7 +94,10 @@ async def test_doctor_says_which_daemon_owns_the_folder_of_recordings(tmp_path: 
 
 async def test_doctor_names_a_serial_port_that_the_daemon_cannot_open(tmp_path: Path) -> None:
     async with serve("--serial", str(tmp_path / "none")) as daemon:
-        await daemon.read_log("serial.waiting")
+        (waiting,), (started,) = daemon.lines("serial.waiting"), daemon.lines("daemon.started")
+        assert daemon.log.index(waiting) < daemon.log.index(started)
+        assert waiting["next_step"].startswith("plug the board in")
+        assert started["missing"] == [str(tmp_path / "none")]
         status, out, _ = await run("doctor", "--json", "--url", daemon.url)
     assert (status, codes(out)) == (1, ["serial_missing"])
 
