@@ -12,7 +12,7 @@ import structlog
 
 from hostlink.diagnosis.arrivals import RECENT_S, Arrival, RefusedLately, connection_text, daemon_findings, newest
 from hostlink.diagnosis.evidence import EarlierLink, Evidence, HostClock, PortSharing, port_finding
-from hostlink.diagnosis.finding import Finding, words
+from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
 from hostlink.host_pauses import HostPauses
@@ -137,12 +137,12 @@ class Diagnoses:
         else:
             self.ports[name] = port_finding(error)
 
-    def observe_own(self, part: str, found: Finding | None) -> None:
-        """Note what is wrong with a part of the daemon; None: nothing. A new finding is logged."""
+    def observe_own(self, part: str, code: str = "", detail: str = "") -> None:
+        """Note what is wrong with a part of the daemon, by the code of its finding; empty: nothing. News are logged."""
         known = self.own.pop(part, None)
-        if found is not None:
-            self.own[part] = found
-            if known is None or known.code != found.code:
+        if code:
+            found = self.own[part] = finding(code, detail)
+            if known is None or known.code != code:
                 log.warning("daemon.diagnosed", part=part, **dataclasses.asdict(found))
 
     def begin(self, link: Link) -> Diagnosis:

@@ -16,11 +16,9 @@ from typing import NamedTuple
 import structlog
 
 from hostlink.detached import DetachedThread
-from hostlink.diagnosis.finding import Finding, finding
 from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic, size
 from hostlink.hub.hub import Hub
 from hostlink.listening import spelled
-from hostlink.loop_time import loop_time_s
 from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drives import DriveLog
 from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder, file_stamp
@@ -252,35 +250,35 @@ class Recordings:
         await self.drives.start()
         self.black_box.start(self.drives.correct)
         if self._config.drives or self._hub.config.black_box.enabled:
-            self._hub.diagnoses.observe_own(FOLDER_PART, found)
+            self._hub.diagnoses.observe_own(FOLDER_PART, *found)
             self._hub.spawn(self._watch_folder(), name="folder of recordings")
 
     async def _watch_folder(self) -> None:
         """Tell while nothing can be saved, and make a removed folder again."""
         while True:
             await asyncio.sleep(FOLDER_INTERVAL_S)
-            self._hub.diagnoses.observe_own(FOLDER_PART, await self._folder_finding())
+            self._hub.diagnoses.observe_own(FOLDER_PART, *await self._folder_finding())
 
-    async def _folder_finding(self) -> Finding | None:
-        """Return what is wrong with the folder."""
-        unusable, path = functools.partial(finding, "recordings_unusable"), self.folder.path
+    async def _folder_finding(self) -> tuple[str, str]:
+        """Return code and detail of the finding about the folder; empty if nothing is wrong."""
+        path = self.folder.path
         try:
             if not self._folder_thread.is_busy:
                 await self._folder_thread.run(self.folder.check, timeout_s=DISK_S)
         except FolderTaken as error:
-            return finding("recordings_taken", error.strerror)
+            return "recordings_taken", error.strerror or str(error)
         except TimeoutError:  # the thread still waits
             pass
         except OSError as error:
-            return unusable(f"{path}: {error.strerror or error}")
+            return "recordings_unusable", f"{path}: {error.strerror or error}"
         if self._folder_thread.is_busy:
-            return unusable(f"{path}: its disk does not answer")
-        now_s = loop_time_s()
+            return "recordings_unusable", f"{path}: its disk does not answer"
+        now_s = asyncio.get_running_loop().time()
         if self._owner.removals > self._removals:
             self._removals, self._removed_at_s = self._owner.removals, now_s
         if now_s - self._removed_at_s < REMOVED_S:
-            return finding("recordings_removed", str(self.folder.path))
-        return None
+            return "recordings_removed", str(path)
+        return "", ""
 
     async def aclose(self) -> None:
         async with asyncio.TaskGroup() as tasks:

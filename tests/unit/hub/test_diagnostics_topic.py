@@ -5,7 +5,7 @@ from typing import Any
 
 from hostlink.config import Config
 from hostlink.diagnosis.evidence import HostClock
-from hostlink.diagnosis.finding import finding, words
+from hostlink.diagnosis.finding import words
 from hostlink.hub.diagnostics_topic import ARRAY_STATUSES, INTERVAL_S, STALE_AFTER_S, TOPIC, TYPE, WARNINGS
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
@@ -64,7 +64,7 @@ def test_a_status_for_the_daemon_its_parts_each_robot_each_other_device_and_each
         robot = ScriptedDevice(hub, robot_topics(), address="192.168.4.2", peer="192.168.4.2:5000")
         lamp = ScriptedDevice(hub, [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")], address="192.168.4.3")
         hub.diagnoses.observe_port("/dev/ttyACM0", FileNotFoundError(2, "no such port"))
-        hub.diagnoses.observe_own("recordings", finding("recordings_taken", "by another daemon"))
+        hub.diagnoses.observe_own("recordings", "recordings_taken", "by another daemon")
         for _ in range(30):
             await robot.send(Id.LOG, encode_log(Log(1, "WiFi signal -61 dBm")))
             await lamp.send(Id.LOG, encode_log(Log(1, "well")))
