@@ -3,8 +3,9 @@
 import asyncio
 import contextlib
 import itertools
+import subprocess
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from aiohttp.test_utils import make_mocked_request
 
 from hostlink.api.history import HistoryRoutes
 from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
+from hostlink.detached import start_python
+from hostlink.recording import black_box
 from hostlink.recording.black_box import MAX_CHANNELS, BlackBox
 from hostlink.recording.channel import Channel
 from hostlink.recording.reader import McapReader, StoredMessage
@@ -217,7 +220,26 @@ async def test_a_robot_that_is_forgotten_in_the_half_minute_after_is_in_its_inci
         assert "/robot_0/odometry" in topics(read(tmp_path, incident))
 
 
-async def test_newest_of_many_short_lived_channels_are_kept(tmp_path: Path) -> None:
+async def test_a_process_that_writes_what_the_daemon_left_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(_: Sequence[str]) -> subprocess.Popen[bytes]:
+        started.append(start_python(["-c", "pass"]))
+        return started[0]
+
+    monkeypatch.setattr(black_box, "END_S", 0.0)
+    monkeypatch.setattr(black_box, "start_python", start)
+    async with boxed(config(tmp_path)) as (host, _):
+        box = BlackBox(host.hub, tmp_path)
+        await box.save("robot_0", "late")
+        await box.aclose()
+    await expect(lambda: started[0].returncode == 0)  # otherwise it is a zombie
+
+
+async def test_newest_of_many_short_lived_channels_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(black_box, "END_S", TIMEOUT_S)  # else another process writes the file on a busy machine
     async with boxed(config(tmp_path)) as (host, _):
         box = BlackBox(host.hub, tmp_path)
         channels = [
