@@ -13,6 +13,7 @@ import socket
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from time import thread_time
 from typing import Any
 
 import structlog
@@ -93,7 +94,7 @@ async def running(
         config.message_folders
     )  # one may be on a dead disk, while the event loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
-    hub = Hub(config, catalog, guard=guard, slept_s=slept_s)
+    hub = Hub(config, catalog, guard=guard, slept_s=slept_s, computed_s=thread_time)
     reloader = Reloader(hub, read)
     try:
         async with (
