@@ -23,7 +23,7 @@ A ROS 1 graph    ros1.started, ros1.ended, ros1.master_found, ros1.master_lost, 
 Its guardian     guardian.started, guardian.ended, guardian.start_failed, guardian.incomplete, guardian.stopped_robots
 Zenoh            zenoh.opened, zenoh.closed, zenoh.failed, fleet.daemon_appeared, fleet.daemon_gone,
                  fleet.duplicate_name_found, fleet.name_differs, fleet.unanswered, fleet.topic_refused,
-                 fleet.hearing_changed, fleet.duplicate_host_found, graph.crashed
+                 fleet.hearing_changed, fleet.duplicate_host_found, fleet.silent_link_closed, graph.crashed
 ROS 2 on Zenoh   ros2.joined, ros2.left, ros2.trouble, ros2.refused, ros2.topic_refused, ros2.service_refused,
                  ros2.type_unknown, ros2.type_differs
 The log itself   log.lines_left_out, log.lines_lost

@@ -1,4 +1,4 @@
-"""A client that does not read: how much is sent to it, where no message is replaced or dropped any more."""
+"""A client that does not read: how much is sent to it, where no message is replaced or dropped."""
 
 import asyncio
 import socket
