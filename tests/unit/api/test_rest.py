@@ -334,6 +334,6 @@ def test_odometry_of_nan_alone_is_answered_with_their_number() -> None:
             await api.move_to(float("nan"), 0.0, 0.0)
         status, body = await api.call("GET", "/api/robots/robot_0/odometry")
         assert status == 503
-        assert body["error"] == "robot_0: it sent 10 poses with NaN or infinity in the last 30 s"
+        assert body["error"]["reason"] == "robot_0: it sent 10 poses with NaN or infinity in the last 30 s"
 
     check(test)
