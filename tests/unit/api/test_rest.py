@@ -326,3 +326,14 @@ def test_unknown_field_of_a_drive_is_refused_as_one_of_a_body(fields: dict[str, 
     with pytest.raises(BadRequest) as caught:
         convert_velocity(drive | fields, DriveOperation, "drive")
     assert str(caught.value) == problem
+
+
+def test_odometry_of_nan_alone_is_answered_with_their_number() -> None:
+    async def test(api: RestMemory) -> None:
+        for _ in range(10):
+            await api.move_to(float("nan"), 0.0, 0.0)
+        status, body = await api.call("GET", "/api/robots/robot_0/odometry")
+        assert status == 503
+        assert body["error"]["reason"] == "robot_0: it sent 10 poses with NaN or infinity in the last 30 s"
+
+    check(test)
