@@ -204,6 +204,7 @@ class FleetCommand(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
     velocity: tuple[float, float, float, float, float, float]
     priority: Priority
     epoch: int | None = None  # of the robot, as the sender last saw it
+    take_over: bool = False  # from another driver of the same priority
 
     @property
     def wanted(self) -> PlanarVelocity:

@@ -519,7 +519,7 @@ def test_source_of_the_same_priority_is_held_until_the_other_lets_go(driven: Tim
         refusal = driven.command(source="bob")
         assert (refusal.kind, refusal.holder, refusal.by) == (RefusalKind.HELD, "ann", "ann")
         assert refusal.reason == (
-            "robot_0: ann drives it with the same priority; wait until it lets go, or use take_over"
+            "robot_0: ann drives it with the same priority; wait until it lets go, stop it, or use take_over"
         )
         assert driven.command().is_admitted
 
