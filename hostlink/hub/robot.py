@@ -519,10 +519,14 @@ class RobotHosts(RemoteHosts, Protocol):
         *,
         owner: Hashable,
         priority: int,
+        received_s: float,
         epoch: int | None,
         take_over: bool,
     ) -> None:
-        """Send a command of a source. Its refusal is raised by the next command, or by `answer`."""
+        """Send a command of a source, which lasts for a lease from `received_s` on.
+
+        Its refusal is raised by the next command, or by `answer`.
+        """
         ...
 
     def answer(self, robot: "RemoteRobot", owner: Hashable) -> Awaitable[PlanarVelocity]:
@@ -619,11 +623,13 @@ class RemoteRobot(AnyRobot):
         decision = self.admission.decide(command, loop_time_s())
         is_zero = command.velocity.is_zero and command.is_planar
         if decision.is_admitted or (is_zero and decision.kind is RefusalKind.HELD):  # it lets go there, too
+            lease = None if command.velocity.is_zero else self.admission.driver("", loop_time_s())
             self.hosts.drive(
                 self,
                 command.velocity,
                 owner=command.source,
                 priority=command.priority,
+                received_s=command.received_s if lease is None else lease.deadline_s - self.admission.lease_s,
                 epoch=None if command.epoch is None else self._epoch,
                 take_over=command.take_over,
             )

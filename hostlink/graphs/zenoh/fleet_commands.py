@@ -257,10 +257,11 @@ class FleetRequests:
         *,
         owner: Hashable,
         priority: int,
+        received_s: float,
         epoch: int | None,
         take_over: bool,
     ) -> None:
-        """Send a command of an owner.
+        """Send a command of an owner. It is as old there as here, and older by its way.
 
         Raises:
             HostlinkError: the previous command was refused, and its sender does not know it yet.
@@ -281,7 +282,7 @@ class FleetRequests:
             del self._waiting[next(iter(self._waiting))]
         request = FleetCommand(
             number=command.number,
-            sent_s=now_s,
+            sent_s=self._transport.clock_s(received_s),
             robot=robot.name,
             owner=self._owners[owner],
             owner_name=printable(str(owner)),

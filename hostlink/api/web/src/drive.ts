@@ -16,7 +16,7 @@ const REFUSED_MS = 1500; // an older refusal is not shown
 const AFTERGLOW_MS = 900; // the daemon may still name this page as the driver
 
 const LEASE_MS = 500;
-const SEEN: Source[] = ["joystick", "keys"]; // they drive where the stick is visible
+const SEEN: Source[] = ["joystick", "keys", "gamepad"]; // they drive where the stick is visible
 const HELD = "held"; // kind of a refusal: another source drives with a higher priority or the same one
 
 const STANDING: Velocity = { linear_m_s: 0, angular_rad_s: 0 };
