@@ -140,6 +140,8 @@ class AckermannCommand(CommandType):
         if len(body) != _ACKERMANN.size:
             raise BadPayload(type_name, f"{len(body)} bytes instead of {_ACKERMANN.size}")
         angle_rad, _, speed_m_s, _, _ = _ACKERMANN.unpack(body)
+        if not math.isfinite(angle_rad):  # within the steering's limit it would be one of its ends
+            return Published(PlanarVelocity(speed_m_s, yaw_rad_s=math.nan).twist, stamp_ns)
         return Published(self._drive.velocity_of(Steering(speed_m_s, angle_rad)).twist, stamp_ns)
 
 
@@ -153,8 +155,9 @@ class WheelScale(NamedTuple):
     highest: float = math.inf
 
     def value(self, speed_m_s: float) -> float:
-        """Return the number for a speed."""
-        return min(max(self.rest + self.direction * speed_m_s * self.per_m_s, self.lowest), self.highest)
+        """Return the number for a speed. What is not a number after an overflow is `rest`."""
+        value = min(max(self.rest + self.direction * speed_m_s * self.per_m_s, self.lowest), self.highest)
+        return self.rest if math.isnan(value) else value
 
 
 class WheelCommand(CommandType):
@@ -323,6 +326,9 @@ def zero_of(type_name: str) -> bytes | None:
 
 
 def _planar(velocity: AnyVelocity) -> PlanarVelocity:
+    """Return the velocity of a robot; zero if it is not finite: no direction follows from it."""
+    if not velocity.is_finite:
+        return ZERO
     if isinstance(velocity, PlanarVelocity):
         return velocity
     return velocity.planar if isinstance(velocity, Twist) else ZERO  # there is no third kind
@@ -349,7 +355,7 @@ def _float32(value: float) -> float:
 def _number(code: str, value: float) -> bytes:
     if code in _WHOLE:
         lowest, highest = _WHOLE[code]
-        return struct.pack(f"<{code}", min(max(round(value), lowest), highest))
+        return struct.pack(f"<{code}", round(min(max(value, lowest), highest)))
     return struct.pack(f"<{code}", _float32(value) if code == "f" else value)
 
 
