@@ -59,8 +59,10 @@ async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) 
     robot = made.hub.robots.find(name)
     assert robot.link is device.link
     assert {each: made.hub.topics.find(each).type_name for each in TYPES} == TYPES
-    made.hub.join("driver").drive(robot, PlanarVelocity(0.1))
+    driver = made.hub.join("driver")
+    driver.drive(robot, PlanarVelocity(0.1), take_over=True)
     await asyncio.sleep(0.1)
+    driver.leave()
     publish(made.hub, VELOCITY, {"linear": {"x": 0.2}}, source="by topic")
     publish(made.hub, RESET, {}, source="by topic")
     await asyncio.sleep(0.1)
