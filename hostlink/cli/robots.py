@@ -61,7 +61,7 @@ async def require_robot(host: Host, name: str) -> Robot:
 
 
 async def free_robot(host: Host, name: str, *, below: int = 0) -> RobotState:
-    """Return the state of a robot that may be driven now. A driver of a priority `below` this one is no obstacle.
+    """Return the state of a robot that may be driven now. A driver of a priority `below` this one is overruled.
 
     Raises:
         DeviceGone: the robot is not connected.
