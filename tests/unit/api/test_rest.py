@@ -269,7 +269,7 @@ async def test_owner_is_the_same_until_its_token_is_revoked() -> None:
         (b'{"linear": 0.2, "angular": 0.5, "priorty": 7}', "unknown field `priorty`; did you mean `priority`?"),
         (
             b'{"linear": 0.2, "angular": 0.5, "colour": 7}',
-            "unknown field `colour`; its fields: linear, angular, priority, epoch",
+            "unknown field `colour`; its fields: linear, angular, priority, epoch, take_over",
         ),
     ],
 )
