@@ -452,7 +452,8 @@ class Admission:
         elif command.take_over:
             return None
         else:
-            reason = f"{driver.source} drives it with the same priority; wait until it lets go, or use take_over"
+            advice = "wait until it lets go, stop it, or use take_over"
+            reason = f"{driver.source} drives it with the same priority; {advice}"
         return self._refuse(RefusalKind.HELD, reason, driver.source)
 
     def _refuse_less_important(self, holder: Hashable) -> Decision:

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.errors import HostlinkError, RefusalKind
+from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
+from hostlink.hub.participant import Participant
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S, Admission
 from hostlink.robot.kinematics import DifferentialDrive
@@ -269,6 +270,77 @@ async def held(way: EntryPoint, robot: Robot) -> None:
     assert robot.refused <= {RefusalKind.HELD}
 
 
+def rival(way: EntryPoint, robot: Robot, speed_m_s: float = 0.4, *, take_over: bool = False) -> Participant:
+    """Drive as another program of the same priority, until it leaves."""
+    other = robot.made.hub.join("rival", priority=way.priority)
+    found = robot.made.hub.robots.find(ROBOT)
+
+    other.drive(found, PlanarVelocity(speed_m_s), take_over=take_over)
+
+    async def drive() -> None:
+        while not other.has_left:
+            await asyncio.sleep(0.1)
+            with contextlib.suppress(HostlinkError):
+                other.drive(found, PlanarVelocity(speed_m_s))
+
+    robot.made.tasks.create_task(drive())
+    return other
+
+
+async def held_by_equal(way: EntryPoint, robot: Robot) -> None:
+    """The one that drives first keeps the robot."""
+    other = rival(way, robot)
+    await asyncio.sleep(0.05)
+    before = len(robot.made.speeds())
+    for _ in range(2):
+        await way.start()
+        await asyncio.sleep(LEASE_S)
+    assert set(robot.made.speeds()[before:]) == {0.4}
+    assert robot.refused <= {RefusalKind.HELD}
+    other.leave()
+
+
+async def keeps_from_equal(way: EntryPoint, robot: Robot) -> None:
+    """One that was taken over drives again after it let go, and not before."""
+    await way.start()
+    await robot.moves()
+    found = robot.made.hub.robots.find(ROBOT)
+    other = robot.made.hub.join("other", priority=way.priority)
+    with pytest.raises(CommandRefused, match="with the same priority") as refused:
+        other.drive(found, PlanarVelocity(0.4))
+    assert refused.value.kind is RefusalKind.HELD
+    assert str(refused.value.holder) in str(refused.value)
+    await robot.moves()
+    assert robot.speed_m_s != 0.4
+    robot.forget()
+    taker = rival(way, robot, take_over=True)
+    await asyncio.sleep(0.05)
+    before = len(robot.made.speeds())
+    await asyncio.sleep(2 * LEASE_S)
+    assert set(robot.made.speeds()[before:]) == {0.4}
+    if way.goes_on:
+        assert robot.refused == {RefusalKind.HELD}
+    taker.leave()
+    await robot.stands(2 * LEASE_S)
+    if way.goes_on:
+        assert robot.refused == {RefusalKind.HELD, RefusalKind.DISARMED}
+
+
+async def takes_over(way: EntryPoint, robot: Robot) -> None:
+    other = rival(way, robot)
+    await way.start()
+    await asyncio.sleep(LEASE_S)
+    assert robot.speed_m_s == 0.4
+    way.silence()
+    way.take_over = True
+    await way.start()
+    await asyncio.sleep(0.3)
+    before = len(robot.made.speeds())
+    await asyncio.sleep(LEASE_S)
+    assert set(robot.made.speeds()[before:]) == {entry_points.SPEED_M_S}
+    other.leave()
+
+
 async def goes_on_afterwards(way: EntryPoint, robot: Robot) -> None:
     await way.start()
     await robot.moves()
@@ -368,6 +440,9 @@ CONNECTION: dict[str, Row] = {
     "a stream from before a new robot is disarmed": new_robot,
     "a command that is late is refused": late_is_refused,
     "a command is refused while a higher priority holds": held,
+    "a command is refused while one of the same priority drives": held_by_equal,
+    "one that drives is kept and may be taken over": keeps_from_equal,
+    entry_points.TAKES_OVER: takes_over,
     "one that leaves stops": leaves,
 }
 #: What follows in the admission from the above, whatever the entry point is.

@@ -115,6 +115,7 @@ class FleetDriver:
         left_m_s: float = 0.0,
         late_s: float = 0.0,
         epoch: int | None = None,
+        take_over: bool = False,
     ) -> None:
         request = FleetCommand(
             number=next(self._numbers),
@@ -125,6 +126,7 @@ class FleetDriver:
             owner_name="client 3",
             velocity=(speed_m_s, left_m_s, 0.0, 0.0, 0.0, 0.0),
             priority=PRIORITY,
+            take_over=take_over,
         )
         self._drivers.receive(ZenohSample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
         answer = ANSWER.decode(self._answers.sent.pop())

@@ -12,7 +12,7 @@ from hostlink.errors import WrongType
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
-from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.fake_device import robot_topics, topic
 from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, POSE, VELOCITY_ID, Scene, play, publish, subscribe
 from tests.support.scripted_device import ScriptedDevice
@@ -59,11 +59,14 @@ async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) 
     robot = made.hub.robots.find(name)
     assert robot.link is device.link
     assert {each: made.hub.topics.find(each).type_name for each in TYPES} == TYPES
-    made.hub.join("driver").drive(robot, PlanarVelocity(0.1))
+    driver = made.hub.join("driver")
+    driver.drive(robot, PlanarVelocity(0.1))
     await asyncio.sleep(0.1)
+    driver.drive(robot, ZERO)
     publish(made.hub, VELOCITY, {"linear": {"x": 0.2}}, source="by topic")
     publish(made.hub, RESET, {}, source="by topic")
     await asyncio.sleep(0.1)
+    publish(made.hub, VELOCITY, {}, source="by topic")
     speeds = [struct.unpack("<6d", payload)[0] for payload in device.payloads(VELOCITY_ID)]
     assert {0.1, 0.2} <= set(speeds)
     assert device.payloads(101)

@@ -25,7 +25,7 @@ from hostlink.robot.admission import (
     named,
 )
 from hostlink.robot.kinematics import AckermannDrive, DifferentialDrive
-from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
+from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity, Twist
 
 FORWARD = PlanarVelocity(0.3)
 
@@ -519,7 +519,7 @@ def test_source_of_the_same_priority_is_held_until_the_other_lets_go(driven: Tim
         refusal = driven.command(source="bob")
         assert (refusal.kind, refusal.holder, refusal.by) == (RefusalKind.HELD, "ann", "ann")
         assert refusal.reason == (
-            "robot_0: ann drives it with the same priority; wait until it lets go, or use take_over"
+            "robot_0: ann drives it with the same priority; wait until it lets go, stop it, or use take_over"
         )
         assert driven.command().is_admitted
 
@@ -1160,3 +1160,8 @@ def test_zeros_with_the_time_of_their_sending_leave_room_for_other_sources(robot
         robot.command(ZERO, source=f"client {number}", sent_s=7.0)
     assert robot.command().is_admitted
     assert not robot.command(ZERO, waited_s=1.0).kind
+
+
+def test_admission_names_the_kind_of_its_drive() -> None:
+    assert Timeline(drive=AckermannDrive()).admission.kinematics is Kinematics.ACKERMANN
+    assert Timeline(drive=None).admission.kinematics is Kinematics.SPATIAL
