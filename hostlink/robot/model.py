@@ -207,6 +207,7 @@ def unguarded(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETT
 def actuators(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETTINGS) -> list[Endpoint]:
     """Return the endpoints that set positions: servos, joints, a joystick that a board reads."""
     commands = {topic.name for topic in _commands(endpoints, settings)[0]}
+    commands |= {each.name for each in endpoints if is_velocity(each)}
     return [each for each in endpoints if each.is_to_device and each.name not in commands and _is_position(each)]
 
 
