@@ -39,6 +39,7 @@ from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.recordings import Recordings
+from hostlink.recording.robot_names import kept_names, names_file
 from hostlink.transport.tcp import advertised, serve_tcp
 from hostlink.transport.udp import serve_udp
 
@@ -100,6 +101,7 @@ async def running(
         async with (
             complaints_logged(),
             _hub_running(hub),
+            kept_names(hub, names_file(config)),
             _recordings(hub) as recordings,
             _graphs(hub, config, on_graph_end),
             _listening(hub, config, recordings, reloader, listening, on_listening) as addresses,

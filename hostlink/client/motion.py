@@ -44,7 +44,7 @@ OnProgress = Callable[[Progress], object]
 
 
 class Begin(NamedTuple):
-    """What the first command of a motion may do: take the robot over, and drive without letting go before."""
+    """Permissions of the first command of a motion: take the robot over, and drive without letting go before."""
 
     take_over: bool = False
     resume: bool = False

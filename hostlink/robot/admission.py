@@ -4,8 +4,8 @@ Every way in (rosbridge, REST, the page, Foxglove, the client, ROS, the fleet, r
 robot's `Admission` answers with a `Decision`. No other module decides by ages, epochs, locks or leases.
 
 A *source* of commands is a program, a REST owner, a publisher of another graph. It is in one of four states. A source
-*lets go* of a robot by a zero that is not late, by a lease without a command, or by leaving. A zero to one velocity
-topic of the robot is no such, while the source commands another topic.
+*lets go* of a robot by a zero that is not late, by a lease without a command, or by leaving. A source that commands
+another velocity topic of the robot does not let go by a zero to one of them.
 
 | state    | event                                                     | next     | decision              |
 |----------|-----------------------------------------------------------|----------|-----------------------|
@@ -53,7 +53,7 @@ holds the robot no more, except for one that drives another velocity topic at th
 A source that drives keeps its velocity topic from sources of the same priority until it lets go. One of them may say
 `take_over`: what the source drove, on all velocity topics, ends. The source that was taken over must let go before it
 drives or takes over again, and no epoch replaces that: of two that say `take_over` with each command, one drives. A
-source that a higher priority overruled needs not let go, and may drive when the higher one has.
+source that a higher priority overruled may drive as soon as the higher one lets go.
 
 A command without the current epoch is from before a stop if it has waited, here or on its way, since more than
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
@@ -230,7 +230,7 @@ class _Source:
         return max(self.commanded.values(), default=float("-inf"))
 
     def arm(self) -> None:
-        """It has let go."""
+        """Note that the source has let go."""
         self.is_armed, self.taken_by = True, None
         self.commanded.clear()
 
