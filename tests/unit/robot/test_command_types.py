@@ -298,6 +298,30 @@ def test_words_of_a_velocity(velocity: PlanarVelocity, word: str, again: PlanarV
     assert command.decode("", STRING_TYPE, payload) == (again.twist, None)
 
 
+@pytest.mark.parametrize(
+    ("type_name", "words", "data"),
+    [
+        ("std_msgs/Char", WORDS, ord("F")),
+        ("std_msgs/Int16", Words("1", "2", "3", "4", "0"), 1),
+        ("std_msgs/Float32", Words("1", "-1", "2", "3", "0.5"), 1.0),
+    ],
+)
+def test_words_of_a_board_that_reads_letters_or_numbers(type_name: str, words: Words[str], data: float) -> None:
+    command = WordCommand(topic(type_name), words, FULL)
+    (payload,) = command.encode(PlanarVelocity(0.1))
+    assert fields(type_name, payload) == {"data": data}
+    assert command.decode("", type_name, payload).twist == PlanarVelocity(0.5).twist
+    assert command.decode("", type_name, command.encode(ZERO)[0]).twist.is_zero
+    with pytest.raises(BadPayload, match="is not a word"):
+        command.decode("", type_name, message_type(type_name).encode({"data": 77}))
+
+
+@pytest.mark.parametrize(("type_name", "word"), [("std_msgs/Char", "FF"), ("std_msgs/Int16", "F"), (TWIST_TYPE, "1")])
+def test_words_that_do_not_fit_the_type_are_refused(type_name: str, word: str) -> None:
+    with pytest.raises(ConfigError, match="is not a value of"):
+        WordCommand(topic(type_name), Words(word, "1", "1", "1", "1"), FULL)
+
+
 def test_words_without_limits_compare_as_they_are() -> None:
     (payload,) = WordCommand(topic(STRING_TYPE), WORDS, ZERO).encode(PlanarVelocity(0.1, 0.0, 0.2))
     assert fields(STRING_TYPE, payload) == {"data": "L"}
