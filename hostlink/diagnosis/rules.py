@@ -45,6 +45,7 @@ Rule = Callable[[Evidence], str | None]  # returns the detail; None if the rule 
 def diagnose(evidence: Evidence) -> list[Finding]:
     """Return the faults of a link, the likeliest cause first; empty if there are none."""
     found = {code: each.text for code, each in evidence.complaints.items() if each.ago_s < WHEEL_S}
+    found |= {code: detail for code, detail in evidence.noted.items() if detail}
     if evidence.end in _ENDS:
         found[_ENDS[evidence.end]] = ""
     for code, rule in _RULES.items():
@@ -208,10 +209,6 @@ def _is_fast(interval_s: float) -> bool:
     return is_inexact or any(abs(rate / crystal - 1) < CRYSTAL_ERROR for crystal in CRYSTAL_RATES)
 
 
-def _flashed_alike(evidence: Evidence) -> str | None:
-    return evidence.numbered or None
-
-
 _ENDS = {"refused": "too_many_robots", "crashed": "host_fault", "unanswerable": "unanswerable"}  # of the link
 _RULES: dict[str, Rule] = {
     "serial_shared": _serial_shared,
@@ -226,5 +223,4 @@ _RULES: dict[str, Rule] = {
     "time_stopped": _time_stopped,
     "weak_signal": _weak_signal,
     "clock_trouble": _clock_trouble,
-    "flashed_alike": _flashed_alike,
 }
