@@ -7,7 +7,7 @@ from urllib.parse import quote
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, measured
-from hostlink.client.motion import OnProgress, drive_for, follow, line, turn
+from hostlink.client.motion import OnProgress, drive_for, follow, line, require_pose, turn
 from hostlink.client.views import Driven, Motion, Odometry, Refusal, RobotState
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
@@ -126,10 +126,11 @@ class Robot:
         with a Progress for each pose. `timeout_s` is by default 10 s and four times what the speed needs.
 
         Raises:
-            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, there is no odometry, or
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose, or
                 a number is invalid.
         """
         course = line(metres, speed_m_s, timeout_s)
+        require_pose(await self.state())
         return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress)
 
     async def turn(
@@ -143,10 +144,11 @@ class Robot:
         """Turn on the spot by odometry, and stop; counter-clockwise is positive. It ends as `move` does.
 
         Raises:
-            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, there is no odometry, or
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose, or
                 a number is invalid.
         """
         course = turn(radians, speed_rad_s, timeout_s)
+        require_pose(await self.state())
         return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress)
 
     async def command(
