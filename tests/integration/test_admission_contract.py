@@ -18,7 +18,8 @@ import pytest
 from hostlink.config import Config
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.hub.participant import Participant
-from hostlink.protocol.frame import Id
+from hostlink.protocol.frame import Frame, Id
+from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S, Admission
 from hostlink.robot.kinematics import DifferentialDrive
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
@@ -26,6 +27,7 @@ from tests.support import entry_points
 from tests.support.command_boards import BOARDS
 from tests.support.entry_points import EntryPoint
 from tests.support.fake_device import robot_topics, topic
+from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.participants import ROBOT, Scene, play
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import VirtualLoop
@@ -681,6 +683,31 @@ def test_board_of_each_command_type_obeys_the_admission(name: str, entry_point: 
 
     config = Config() if board.config is None else Config(robots={ROBOT: board.config})
     play(test, config, board.infos)
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_guardian_has_frames_that_stop_each_command_type(name: str) -> None:
+    """They are what a board receives when the daemon is killed: one for each command topic, and each is at rest."""
+    board = BOARDS[name]
+
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect(board.infos, address="10.0.0.1")
+        zeros, _ = made.guard.watched[device.link.number]
+        stream = FrameStream()
+        frames = list(stream.feed(b"".join(zeros)))
+        assert [frame.topic_id for frame in frames if isinstance(frame, Frame)] == [
+            info.topic_id for info in board.infos
+        ]
+        for number, frame in enumerate(frames):
+            assert isinstance(frame, Frame)
+            assert board.is_at_rest(number, frame.payload)
+        assert device.link.last_frame == b"".join(zeros)  # the daemon's own last words are the same
+        made.hub.join("driver").drive(made.robot(ROBOT), PlanarVelocity(0.2))
+        await asyncio.sleep(0.1)
+        assert made.guard.driven == {device.link.number}
+        await device.aclose()
+
+    in_hub(test, Config() if board.config is None else Config(robots={ROBOT: board.config}))
 
 
 def test_stream_of_ros2_that_is_not_planar_is_refused_and_disarmed_by_a_stop() -> None:
