@@ -276,7 +276,7 @@ class Words(NamedTuple, Generic[T]):
 class WordCommand(CommandType):
     """A String, Char or number: the word of the direction that a velocity has most of. It promises no speed."""
 
-    def __init__(self, topic: TopicType, words: Words, full: PlanarVelocity) -> None:
+    def __init__(self, topic: TopicType, words: Words[str], full: PlanarVelocity) -> None:
         """`full`: the limits, by which forward and turning motion are compared.
 
         Raises:
