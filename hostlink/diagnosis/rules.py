@@ -54,6 +54,7 @@ Rule = Callable[[Evidence], str | None]  # returns the detail; None if the rule 
 def diagnose(evidence: Evidence) -> list[Finding]:
     """Return the faults of a link, the likeliest cause first; empty if there are none."""
     found = {code: each.text for code, each in evidence.complaints.items() if each.ago_s < WHEEL_S}
+    found |= {code: detail for code, detail in evidence.noted.items() if detail}
     if evidence.end in _ENDS:
         found[_ENDS[evidence.end]] = ""
     for code, rule in _RULES.items():
@@ -293,10 +294,6 @@ def _odometry_unsent(evidence: Evidence) -> str | None:
     return f"nothing on {motion.topic} for {negotiated_s:.0f} s" if negotiated_s >= UNSENT_S else None
 
 
-def _flashed_alike(evidence: Evidence) -> str | None:
-    return evidence.numbered or None
-
-
 _ENDS = {"refused": "too_many_robots", "crashed": "host_fault", "unanswerable": "unanswerable"}  # of the link
 _RULES: dict[str, Rule] = {
     "serial_shared": _serial_shared,
@@ -321,5 +318,4 @@ _RULES: dict[str, Rule] = {
     "bad_stamp": _bad_stamp,
     "slash_frame": _slash_frame,
     "zero_covariance": _zero_covariance,
-    "flashed_alike": _flashed_alike,
 }

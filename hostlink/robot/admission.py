@@ -301,7 +301,7 @@ class Admission:
         if not velocity.is_finite:
             return self._refuse(RefusalKind.NOT_FINITE, "a velocity must consist of finite numbers")
         if self.lock_reason is not None:
-            return self._refuse(RefusalKind.LOCKED, self._locked_text(), by=self.locked_by)
+            return self._refuse(RefusalKind.LOCKED, self.locked_text, by=self.locked_by)
         if not command.is_planar:
             return self._refuse(RefusalKind.UNSUPPORTED, NOT_PLANAR)
         impossible = None if self.drive is None else self.drive.why_impossible(velocity)
@@ -483,8 +483,11 @@ class Admission:
             return f"its stamp is {command.stamp_age_s:.3f} s old, cmd_vel_max_age_s allows {self.max_stamp_age_s:g}"
         return ""
 
-    def _locked_text(self) -> str:
-        return f"locked: {self.lock_reason}; to drive it again: hostlink unlock {shlex.quote(self.robot)}"
+    @property
+    def locked_text(self) -> str:
+        """Reason of a refusal under a lock, with the command that ends it: without a robot, the unlock of all."""
+        whom = "--all" if self.drive is None else shlex.quote(self.robot)
+        return f"locked: {self.lock_reason}; to drive it again: hostlink unlock {whom}"
 
     # -- who drives ---------------------------------------------------------------------------------------------------
 

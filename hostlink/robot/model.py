@@ -14,8 +14,9 @@ device's protocol.
 """
 
 import itertools
+import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -91,6 +92,19 @@ class CommandKind(StrEnum):
     WORDS = "words"
 
 
+class Role(StrEnum):
+    """Role of a topic for its device, as `hostlink robots --explain` shows it."""
+
+    COMMAND = "command"  # of its robot
+    VELOCITY = "velocity"  # a further one, with a gate
+    UNGUARDED = "unguarded"  # looks like a command, and nothing guards it
+    LOCKED = "locked"  # a lock refuses it, by the settings
+    IGNORED = "ignored"  # it commands no motion, by the settings
+    ACTUATOR = "actuator"  # sets positions
+    FEEDBACK = "feedback"  # tells of its robot's motion
+    DATA = "data"
+
+
 class CommandSettings(NamedTuple):
     """What the settings say of one robot's command. Topics are as the device names them."""
 
@@ -98,6 +112,7 @@ class CommandSettings(NamedTuple):
     topics: tuple[str, ...] = ()  # that command it; empty: they are recognised
     odometry: str | None = None  # the topic of its pose or velocity; "": it has none; None: it is recognised
     ignored: frozenset[str] = frozenset()  # topics that command no motion, whatever their name and type
+    locked: frozenset[str] = frozenset()  # topics of no velocity that a lock refuses, for example of servos
     is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
 
 
@@ -190,17 +205,29 @@ def is_velocity(endpoint: Endpoint, ignored: frozenset[str] = frozenset()) -> bo
     )
 
 
-def unguarded(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETTINGS) -> list[Endpoint]:
-    """Return the endpoints that look like commands of a motion, and that nothing guards."""
-    commands = {topic.name for topic in _commands(endpoints, settings)[0]}
+def unguarded(
+    endpoints: Sequence[Endpoint],
+    settings: CommandSettings = NO_SETTINGS,
+    guarded: Collection[str] | None = None,
+) -> list[Endpoint]:
+    """Return the endpoints that look like commands of a motion, and that nothing guards.
+
+    `guarded`: names of the topics that have a gate; None: those that the model gives one.
+    """
+    if guarded is None:
+        guarded = {topic.name for topic in _commands(endpoints, settings)[0]}
+        guarded |= {each.name for each in endpoints if is_velocity(each, settings.ignored)}
+    passed = {*guarded, *settings.ignored, *settings.locked}
     return [
         each
         for each in endpoints
         if each.is_to_device
-        and each.name not in commands
-        and each.name not in settings.ignored
-        and not is_velocity(each)
-        and (each.type_name in {*_TWISTS, JOY_TYPE} or _looks_like_motion(each))
+        and each.name not in passed
+        and (
+            each.type_name in {*_TWISTS, *ACKERMANN_TYPES, JOY_TYPE}
+            or each.name in settings.topics
+            or _looks_like_motion(each)
+        )
     ]
 
 
@@ -209,6 +236,23 @@ def actuators(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETT
     commands = {topic.name for topic in _commands(endpoints, settings)[0]}
     commands |= {each.name for each in endpoints if is_velocity(each)}
     return [each for each in endpoints if each.is_to_device and each.name not in commands and _is_position(each)]
+
+
+def roles(
+    endpoints: Sequence[Endpoint],
+    settings: CommandSettings,
+    *,
+    commands: Collection[str],
+    guarded: Collection[str],
+    feedback: Collection[str],
+) -> list[tuple[Endpoint, Role]]:
+    """Return what each topic is for its device. `commands`, `guarded` and `feedback` are names of topics."""
+    to_device: dict[str, Role] = {each.name: Role.ACTUATOR for each in actuators(endpoints, settings)}
+    to_device |= {each.name: Role.UNGUARDED for each in unguarded(endpoints, settings, guarded)}
+    to_device |= dict.fromkeys(settings.locked, Role.LOCKED) | dict.fromkeys(settings.ignored, Role.IGNORED)
+    to_device |= dict.fromkeys(guarded, Role.VELOCITY) | dict.fromkeys(commands, Role.COMMAND)
+    from_device = dict.fromkeys(feedback, Role.FEEDBACK)
+    return [(each, (to_device if each.is_to_device else from_device).get(each.name, Role.DATA)) for each in endpoints]
 
 
 def name_of(command: str, odometry: str = "") -> str:
@@ -228,31 +272,39 @@ def _is_telling(word: str) -> bool:
     return len(word) >= _SHORTEST_WORD and word.isalpha() and (word.islower() or word[0].isupper())
 
 
-def suggestion(suspects: Sequence[Endpoint], name: str, address: str) -> str:
+def suggestion(suspects: Sequence[Endpoint], name: str, address: str, *, is_robot: bool = False) -> str:
     """Return lines of hostlink.toml that make a robot of a device with these unguarded endpoints.
 
-    `name` and `address` are the robot's. A type that hostlink cannot encode is refused by a lock at least.
+    `name` and `address` are the robot's. A type that hostlink cannot encode is refused by a lock at least, and so are
+    the topics of a device that is a robot already.
     """
-    address_line = f'[robots.{name}]\naddress = "{address}"\n'
+    topics = ", ".join(_quoted(each.name) for each in suspects)
+    if is_robot:
+        return f"[robots.{name}]\nlocked_topics = [{topics}]"
+    address_line = f"[robots.{name}]\naddress = {_quoted(address)}\n"
     by_type: dict[str, list[str]] = {}
     for each in suspects:
         by_type.setdefault(each.type_name, []).append(each.name)
     for type_name, names in by_type.items():
         first = names[0]
         if type_name in _TWISTS:
-            return f'{address_line}command_topic = "{first}"'
+            return f"{address_line}command_topic = {_quoted(first)}"
         wheels = [first] if type_name in ARRAY_TYPES else _wheel_topics(suspects) if type_name in NUMBER_TYPES else []
         if len(wheels) in _WHEELS_NEED:
-            topics = ", ".join(f'"{each}"' for each in wheels)
+            listed = ", ".join(map(_quoted, wheels))
             need = _WHEELS_NEED[len(wheels)]
-            return f'{address_line}{need}[robots.{name}.wheels]\ntopics = [{topics}]\nunit = "pwm"'
+            return f'{address_line}{need}[robots.{name}.wheels]\ntopics = [{listed}]\nunit = "pwm"'
         if type_name == JOY_TYPE:
-            return f'{address_line}[robots.{name}.joy]\ntopic = "{first}"\nx_axis = 1\nyaw_axis = 0'
+            return f"{address_line}[robots.{name}.joy]\ntopic = {_quoted(first)}\nx_axis = 1\nyaw_axis = 0"
         if type_name in TEXT_TYPES:
             words = 'forward = "F"\nbackward = "B"\nleft = "L"\nright = "R"\nstop = "S"'
-            return f'{address_line}[robots.{name}.words]\ntopic = "{first}"\n{words}'
-    topics = ", ".join(f'"{each.name}"' for each in suspects)
+            return f"{address_line}[robots.{name}.words]\ntopic = {_quoted(first)}\n{words}"
     return f"{address_line}locked_topics = [{topics}]"
+
+
+def _quoted(text: str) -> str:
+    """Return a string of TOML: a device may announce any name."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 # -- recognition ------------------------------------------------------------------------------------------------------
