@@ -687,7 +687,7 @@ def test_board_of_each_command_type_obeys_the_admission(name: str, entry_point: 
 
 @pytest.mark.parametrize("name", BOARDS)
 def test_guardian_has_frames_that_stop_each_command_type(name: str) -> None:
-    """They are what a board receives when the daemon is killed: one for each command topic, and each is at rest."""
+    """The guardian writes one frame for each command topic after the daemon was killed; each frame means rest."""
     board = BOARDS[name]
 
     async def test(made: MemoryHub) -> None:

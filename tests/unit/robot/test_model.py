@@ -1,4 +1,4 @@
-"""What a robot is: every row of the tables, and the topics of boards that exist."""
+"""Model of robots: every row of the tables in its docstrings, with topics of public board programs."""
 
 import tomllib
 
