@@ -36,7 +36,7 @@ def endpoints(program: dict[str, Any]) -> list[Endpoint]:
 
 
 def infos(program: dict[str, Any]) -> list[TopicInfo]:
-    """What its board announces, with the ids that rosserial gives."""
+    """Announcement of its board, with the ids that rosserial gives."""
     made = []
     for number, each in enumerate(endpoints(program)):
         known = CATALOG.message(each.type_name)

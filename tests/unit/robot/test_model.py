@@ -70,7 +70,7 @@ def test_an_ackermann_message_is_a_command_by_its_type(name: str, type_name: str
 @pytest.mark.parametrize(
     "endpoint", [sent("cmd_vel", TWIST), sent("ackermann", ACKERMANN), to("target"), to("cmd_vel", STRING_TYPE)]
 )
-def test_what_is_sent_or_has_another_name_or_type_is_no_velocity(endpoint: Endpoint) -> None:
+def test_topic_from_device_or_of_another_name_or_type_does_not_drive(endpoint: Endpoint) -> None:
     assert not is_velocity(endpoint)
     assert find_robot([endpoint]) is None
 
@@ -197,7 +197,7 @@ def test_parts_of_a_name() -> None:
     assert (leaf_of("/"), namespace_of("~x")) == ("", ())
 
 
-# -- what is no command by itself -------------------------------------------------------------------------------------
+# -- topics that need a setting ---------------------------------------------------------------------------------------
 
 #: Topics to the device of public programs, each of which moves something.
 SUSPECTS = [
