@@ -313,7 +313,7 @@ class RobotConfig:
     address: str | None = None  # peer address or serial port of its device
     uart_bytes_s: int | None = None
     # The drive (robot/kinematics): it refuses velocities that it cannot have. "": planar, which takes every velocity.
-    # "spatial": all six numbers of a Twist pass; it is no robot of the plane, but it is stopped and locked.
+    # "spatial": all six numbers of a Twist pass; it is not a robot of the plane, but it is stopped and locked.
     kinematics: Literal[
         "", "planar", "differential", "skid_steer", "mecanum", "omni3", "omni4", "ackermann", "spatial"
     ] = ""

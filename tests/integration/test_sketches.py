@@ -56,7 +56,7 @@ def what_it_is(program: dict[str, Any]) -> str:
 
 
 def settings_of(program: dict[str, Any]) -> str:
-    """What the finding of its board says to write into hostlink.toml."""
+    """Lines of hostlink.toml that the finding of its board suggests."""
     return suggestion(unguarded(endpoints(program)), NAME, ADDRESS)
 
 

@@ -273,13 +273,13 @@ DATA = [
 
 
 @pytest.mark.parametrize(("name", "type_name"), SUSPECTS)
-def test_what_looks_like_a_command_is_unguarded(name: str, type_name: str) -> None:
+def test_topic_that_looks_like_a_command_is_unguarded(name: str, type_name: str) -> None:
     endpoint = to(name, type_name)
     assert (unguarded([endpoint]), actuators([endpoint]), find_robot([endpoint])) == ([endpoint], [], None)
 
 
 @pytest.mark.parametrize(("name", "type_name"), ACTUATORS)
-def test_what_sets_a_position_is_an_actuator(name: str, type_name: str) -> None:
+def test_topic_that_sets_a_position_is_an_actuator(name: str, type_name: str) -> None:
     endpoint = to(name, type_name)
     assert (unguarded([endpoint]), actuators([endpoint]), find_robot([endpoint])) == ([], [endpoint], None)
 
@@ -291,7 +291,7 @@ def test_everything_else_is_data(name: str, type_name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "type_name"), [*SUSPECTS, *ACTUATORS])
-def test_what_a_device_sends_commands_nothing(name: str, type_name: str) -> None:
+def test_topic_from_the_device_commands_nothing(name: str, type_name: str) -> None:
     assert (unguarded([sent(name, type_name)]), actuators([sent(name, type_name)])) == ([], [])
 
 
