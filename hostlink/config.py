@@ -347,7 +347,7 @@ class RobotConfig:
     wheels: WheelsConfig | None = None
     joy: JoyConfig | None = None
     words: WordsConfig | None = None
-    not_commands: tuple[str, ...] = ()  # topics that drive nothing, whatever their name and type
+    not_commands: tuple[str, ...] = ()  # topics that command no motion, with any name and type
     locked_topics: tuple[str, ...] = ()  # further topics that a lock refuses, for example of servos
     # What tells of its motion; without either it is recognised.
     encoders: EncodersConfig | None = None
