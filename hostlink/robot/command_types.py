@@ -71,7 +71,7 @@ class CommandType(ABC):
         """Decode what a program published on a topic of the robot, by the name that the device uses.
 
         Raises:
-            WrongType: the type is none that commands this robot.
+            WrongType: this type does not command the robot.
             BadPayload: the payload is not of this type.
         """
         return decode_twist(topic, type_name, payload)

@@ -106,7 +106,7 @@ class Role(StrEnum):
 
 
 class CommandSettings(NamedTuple):
-    """What the settings say of one robot's command. Topics are as the device names them."""
+    """Settings of one robot's command. Topics are as the device names them."""
 
     kind: CommandKind | None = None  # None: it is recognised
     topics: tuple[str, ...] = ()  # that command it; empty: they are recognised

@@ -36,7 +36,7 @@ def endpoints(program: dict[str, Any]) -> list[Endpoint]:
 
 
 def infos(program: dict[str, Any]) -> list[TopicInfo]:
-    """What its board announces, with the ids that rosserial gives."""
+    """Announcement of its board, with the ids that rosserial gives."""
     made = []
     for number, each in enumerate(endpoints(program)):
         known = CATALOG.message(each.type_name)
@@ -56,7 +56,7 @@ def what_it_is(program: dict[str, Any]) -> str:
 
 
 def settings_of(program: dict[str, Any]) -> str:
-    """What the finding of its board says to write into hostlink.toml."""
+    """Lines of hostlink.toml that the finding of its board suggests."""
     return suggestion(unguarded(endpoints(program)), NAME, ADDRESS)
 
 

@@ -1,4 +1,4 @@
-"""What a robot is: every row of the tables, and the topics of boards that exist."""
+"""Model of robots: every row of the tables in its docstrings, with topics of public board programs."""
 
 import tomllib
 
@@ -70,7 +70,7 @@ def test_an_ackermann_message_is_a_command_by_its_type(name: str, type_name: str
 @pytest.mark.parametrize(
     "endpoint", [sent("cmd_vel", TWIST), sent("ackermann", ACKERMANN), to("target"), to("cmd_vel", STRING_TYPE)]
 )
-def test_what_is_sent_or_has_another_name_or_type_is_no_velocity(endpoint: Endpoint) -> None:
+def test_topic_from_device_or_of_another_name_or_type_does_not_drive(endpoint: Endpoint) -> None:
     assert not is_velocity(endpoint)
     assert find_robot([endpoint]) is None
 
@@ -197,7 +197,7 @@ def test_parts_of_a_name() -> None:
     assert (leaf_of("/"), namespace_of("~x")) == ("", ())
 
 
-# -- what is no command by itself -------------------------------------------------------------------------------------
+# -- topics that need a setting ---------------------------------------------------------------------------------------
 
 #: Topics to the device of public programs, each of which moves something.
 SUSPECTS = [
@@ -273,13 +273,13 @@ DATA = [
 
 
 @pytest.mark.parametrize(("name", "type_name"), SUSPECTS)
-def test_what_looks_like_a_command_is_unguarded(name: str, type_name: str) -> None:
+def test_topic_that_looks_like_a_command_is_unguarded(name: str, type_name: str) -> None:
     endpoint = to(name, type_name)
     assert (unguarded([endpoint]), actuators([endpoint]), find_robot([endpoint])) == ([endpoint], [], None)
 
 
 @pytest.mark.parametrize(("name", "type_name"), ACTUATORS)
-def test_what_sets_a_position_is_an_actuator(name: str, type_name: str) -> None:
+def test_topic_that_sets_a_position_is_an_actuator(name: str, type_name: str) -> None:
     endpoint = to(name, type_name)
     assert (unguarded([endpoint]), actuators([endpoint]), find_robot([endpoint])) == ([], [endpoint], None)
 
@@ -291,7 +291,7 @@ def test_everything_else_is_data(name: str, type_name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "type_name"), [*SUSPECTS, *ACTUATORS])
-def test_what_a_device_sends_commands_nothing(name: str, type_name: str) -> None:
+def test_topic_from_the_device_commands_nothing(name: str, type_name: str) -> None:
     assert (unguarded([sent(name, type_name)]), actuators([sent(name, type_name)])) == ([], [])
 
 
