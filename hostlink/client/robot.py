@@ -126,8 +126,8 @@ class Robot:
         with a Progress for each pose. `timeout_s` is by default 10 s and four times what the speed needs.
 
         Raises:
-            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose, or
-                a number is invalid.
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose,
+                or a number is invalid.
         """
         course = line(metres, speed_m_s, timeout_s)
         require_pose(await self.state())
@@ -144,8 +144,8 @@ class Robot:
         """Turn on the spot by odometry, and stop; counter-clockwise is positive. It ends as `move` does.
 
         Raises:
-            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose, or
-                a number is invalid.
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose,
+                or a number is invalid.
         """
         course = turn(radians, speed_rad_s, timeout_s)
         require_pose(await self.state())
