@@ -49,7 +49,7 @@ class Daemon:
         self.names.clear()
 
 
-def test_unnamed_robots_keep_their_names_whichever_comes_first_after_a_restart() -> None:
+def test_unnamed_robots_keep_their_names_in_any_order_after_a_restart() -> None:
     daemon = Daemon()
     assert [daemon.connect(HERE, board()), daemon.connect(THIRD, board())] == ["robot_0", "robot_1"]
     daemon.restart()
