@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import functools
 import ipaddress
+import math
 import re
 import typing
 import urllib.parse
@@ -231,26 +232,43 @@ class WheelsConfig:
             raise ValueError("wheels.full must not be zero")
 
 
+Unit = Literal["ticks", "rad", "m", "ticks/s", "rad/s", "rpm", "m/s"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EncodersConfig:
-    """Topics that tell how the wheels of a robot turn; hostlink integrates its pose from them."""
+    """Reports of a robot's wheels: counts, angles or speeds. The host integrates them to its odometry."""
 
-    topics: tuple[str, ...] = ()  # one for each wheel
-    topic: str | None = None  # or one for all: an array or a JointState
-    joints: tuple[str, ...] = ()  # names in a JointState
-    wheels: tuple[str, ...] = ()  # names of the wheels in the order of the topics; empty: the order of the drive
-    directions: tuple[int, ...] = ()  # 1, or -1 for a wheel that counts down when it rolls forward; empty: 1
-    unit: Literal["ticks", "rad", "m", "ticks/s", "rad/s", "rpm", "m/s"] = "ticks"
-    counts: Literal["absolute", "differences"] = "absolute"
-    ticks_per_turn: float | None = None
+    topics: tuple[str, ...] = ()  # one for each wheel, such as ["left_ticks", "right_ticks"]
+    topic: str | None = None  # alternative: one topic with an array, or a JointState
+    joints: tuple[str, ...] = ()  # of the JointState: its names of the wheels
+    wheels: tuple[str, ...] = ()  # the wheel of each topic, value or joint; empty: in the order of the drive's wheels
+    directions: tuple[Literal[1, -1], ...] = ()  # -1: the count falls when the robot drives forward
+    unit: Unit = "ticks"
+    counts: Literal["absolute", "differences"] = "absolute"  # differences: since the message before
+    ticks_per_turn: float | None = None  # of the wheel, with the gear between motor and wheel
+    wheel_radius_m: float | None = None
 
     def __post_init__(self) -> None:
         if bool(self.topics) == (self.topic is not None):
-            raise ValueError("encoders needs either topics, one for each wheel, or topic, one for all")
-        if not all(abs(each) == 1 for each in self.directions):
-            raise ValueError("encoders.directions must be 1 or -1 for each wheel")
-        if self.ticks_per_turn is not None and not self.ticks_per_turn > 0:
-            raise ValueError("encoders.ticks_per_turn must be above zero")
+            raise ValueError("encoders need either topics (one for each wheel) or topic (an array or a JointState)")
+        if len(set(self.topics)) < len(self.topics) or len(self.topics) > MAX_WHEELS:
+            raise ValueError(f"topics must be at most {MAX_WHEELS} different names")
+        for name, value in (("ticks_per_turn", self.ticks_per_turn), ("wheel_radius_m", self.wheel_radius_m)):
+            if value is not None and not 0 < value < math.inf:
+                raise ValueError(f"{name} must be a finite number above zero, not {value}")
+        if self.counts == "differences" and self.unit not in ("ticks", "rad", "m"):
+            raise ValueError(f'counts = "differences" does not fit unit = "{self.unit}", which is a speed')
+        counts = {len(each) for each in (self.topics, self.joints, self.wheels, self.directions) if each}
+        if len(counts) > 1:
+            raise ValueError("topics, joints, wheels and directions must have one entry for each wheel")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeedbackConfig:
+    """Topic of the device that tells how the robot moves, where its type and name do not."""
+
+    topic: str | None = None  # None: recognised; "": none of its topics tells it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,6 +301,7 @@ class WordsConfig:
     stop: str
 
 
+MAX_WHEELS = 8
 MAX_JOY = 64  # axes and buttons of a Joy
 MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
 
@@ -294,7 +313,7 @@ class RobotConfig:
     address: str | None = None  # peer address or serial port of its device
     uart_bytes_s: int | None = None
     # The drive (robot/kinematics): it refuses velocities that it cannot have. "": planar, which takes every velocity.
-    # "spatial": all six numbers of a Twist pass; it is no robot of the plane, but it is stopped and locked.
+    # "spatial": all six numbers of a Twist pass; it is not a robot of the plane, but it is stopped and locked.
     kinematics: Literal[
         "", "planar", "differential", "skid_steer", "mecanum", "omni3", "omni4", "ackermann", "spatial"
     ] = ""
@@ -328,18 +347,19 @@ class RobotConfig:
     wheels: WheelsConfig | None = None
     joy: JoyConfig | None = None
     words: WordsConfig | None = None
-    not_commands: tuple[str, ...] = ()  # topics that drive nothing, whatever their name and type
+    not_commands: tuple[str, ...] = ()  # topics that command no motion, with any name and type
     locked_topics: tuple[str, ...] = ()  # further topics that a lock refuses, for example of servos
-    odometry_topic: str | None = None  # None: it is recognised; "": what the device publishes is not its pose
-    encoders: EncodersConfig | None = None  # instead of an odometry_topic
+    # What tells of its motion; without either it is recognised.
+    encoders: EncodersConfig | None = None
+    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
 
     def __post_init__(self) -> None:
         ways = {"command_topic": self.command_topic, "wheels": self.wheels, "joy": self.joy, "words": self.words}
         given = [name for name, each in ways.items() if each is not None]
         if len(given) > 1:
             raise ValueError(f"{given[0]} and {given[1]} are two ways to command one robot: choose one")
-        if self.encoders is not None and self.odometry_topic:
-            raise ValueError("encoders and odometry_topic are two ways to know the robot's motion: choose one")
+        if self.encoders is not None and self.feedback.topic is not None:
+            raise ValueError("set either encoders or feedback.topic: a robot's motion is known by one of them")
         if not 0 <= self.resume_after_reconnect_s <= MAX_RESUME_S:
             raise ValueError(f"resume_after_reconnect_s must be a number from 0 to {MAX_RESUME_S:g}")
 

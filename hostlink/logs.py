@@ -11,7 +11,7 @@ Services         service.late, service.failed, service.crashed, service.cut, ser
 Clients          client.connected, client.closed, client.broken, client.too_slow, client.too_fast,
                  client.refused, client.unknown_op, client.crowded, client.malformed, client.origin_refused
 The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
-                 daemon.stalled,
+                 daemon.stalled, daemon.diagnosed,
                  task.crashed, diagnosis.crashed, systemd.notify_failed, config.suspicious, config.reloaded,
                  config.refused, descriptors.exhausted, loop.error, library.complained
 Recordings       recording.started, recording.stopped, recording.stored, recording.failed, incident.begun,
@@ -25,7 +25,7 @@ Its guardian     guardian.started, guardian.ended, guardian.start_failed, guardi
                  guardian.frames_dropped, guardian.stopped_robots
 Zenoh            zenoh.opened, zenoh.closed, zenoh.failed, fleet.daemon_appeared, fleet.daemon_gone,
                  fleet.duplicate_name_found, fleet.name_differs, fleet.unanswered, fleet.topic_refused,
-                 fleet.hearing_changed, fleet.duplicate_host_found, graph.crashed
+                 fleet.hearing_changed, fleet.duplicate_host_found, fleet.silent_link_closed, graph.crashed
 ROS 2 on Zenoh   ros2.joined, ros2.left, ros2.trouble, ros2.refused, ros2.topic_refused, ros2.service_refused,
                  ros2.type_unknown, ros2.type_differs
 The log itself   log.lines_left_out, log.lines_lost
@@ -89,7 +89,7 @@ def configure(*, level: str = "info", stream: TextIO | None = None, sentences: S
 
 
 class _Brief:
-    """Renderer of a terminal: the sentences of events below warning, and `render` for all others."""
+    """Renderer of a terminal: the sentences of events, and `render` for warnings and errors without one."""
 
     def __init__(self, sentences: Sentences, render: structlog.typing.Processor) -> None:
         self._sentences, self._render = sentences, render
@@ -97,11 +97,11 @@ class _Brief:
     def __call__(
         self, logger: object, method: str, event: structlog.typing.EventDict
     ) -> structlog.typing.ProcessorReturnValue:
-        if event["level"] not in ("debug", "info"):
-            return self._render(logger, method, event)
-        if (sentence := self._sentences(event)) is None:
+        if (sentence := self._sentences(event)) is not None:
+            return sentence
+        if event["level"] in ("debug", "info"):
             raise structlog.DropEvent
-        return sentence
+        return self._render(logger, method, event)
 
 
 def of_peer(address: str) -> dict[str, str]:

@@ -4,7 +4,8 @@ Needs root and iproute2. Each host has a daemon, a robot, and a program there th
 is cut off (`--fault cut`), also killed in the same moment (`power`), or half of them at once (`half`). Four seconds
 later a healthy host stops every robot. Prints JSON: for how long healthy hosts did not hear each other, when the stop
 reached their robots and how it was answered, when the hosts were seen again after the network was, and when the stop
-was in force at those that were cut off. Ends with status 1 when one of them was later than promised.
+was in force at those that were cut off; with the load of the machine in the last minute. Ends with status 1 when one of
+them was later than promised.
 """
 
 import argparse
@@ -222,9 +223,8 @@ async def vanish(hosts: list[Host], number: int, fault: str) -> dict[str, float]
         "in_force_s": max(in_force_s, 0.0),
     }
     shown = {name: round(value, 2) for name, value in found.items()}
-    print(
-        json.dumps({"gone": [host.number for host in gone], "watched_s": round(up_s - began_s, 1), **shown}), flush=True
-    )
+    ran = {"gone": [host.number for host in gone], "watched_s": round(up_s - began_s, 1), "load": os.getloadavg()[0]}
+    print(json.dumps({**ran, **shown}), flush=True)
     return found
 
 

@@ -130,9 +130,13 @@ class ApiConnections:
 
 
 REQUEST_BYTES = 2 * READ_BYTES  # in one read, while the connection speaks HTTP
-SOCKET_BYTES = 64 * 1024  # in one read of a WebSocket: several seconds of velocity commands
+SOCKET_BYTES = 64 * 1024  # in one read of a WebSocket, within a message that is larger than READ_BYTES
 CONTROL_FRAME_BYTES = 6  # of a client's ping or pong, without payload
 LARGE_BYTES = SOCKET_BYTES  # a larger message needs room in the byte budget before it is read
+
+# Nothing drops, replaces or counts messages behind a client's queue: little fits there.
+UNSENT_BYTES = 16 * 1024  # in the kernel while the client does not read, and one write in the process
+SEND_BUFFER_BYTES = 64 * 1024  # in the kernel with what is on its way; Linux takes twice as much
 
 _INTO = memoryview(bytearray(SOCKET_BYTES))  # receive buffer of all connections, copied before the next read
 
@@ -143,8 +147,9 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
     | protocol    | what is read                                                                                       |
     |-------------|----------------------------------------------------------------------------------------------------|
     | HTTP        | one piece in each turn (FairShare); not the rest of a body that no handler reads (`refuse_body`)   |
-    | WebSocket   | everything available at once, because a newer command may be behind it. The rest of a large        |
-    |             | message waits in the socket until the byte budget has room for it                                  |
+    | WebSocket   | one piece in each turn, passed on at once, because a newer command may be behind it; nothing while |
+    |             | the client's operations have no room (`pause`). The rest of a large message is read in large       |
+    |             | pieces, and waits in the socket until the byte budget has room for it                              |
     """
 
     def __init__(
@@ -171,11 +176,13 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._timeout_s = hub.config.api.request_timeout_s
         self._loop = asyncio.get_running_loop()
         self._held = b""  # read, but not passed on; reading is paused
+        self._offered_bytes = 0  # size of the buffer of the next read
         self._arrival = Arrival(behind_since_s)
         self._next_request_came_s: float | None = None
         self._is_web_socket = self._is_refusing = self._is_lost = False
+        self._is_full = False  # whether the operations of the client have no room
         self._is_last_request = False  # whether bytes were passed on while the transport was closing
-        self._on_read = self._on_writable = _call_nothing  # callbacks of the WebSocket's owner
+        self._on_read = self._on_full = self._on_writable = _call_nothing  # callbacks of the WebSocket's owner
         self._deadline: asyncio.TimerHandle | None = None
 
     # -- what the API says --------------------------------------------------------------------------------------------
@@ -205,14 +212,40 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         """Stop reading: the answer is decided. The connection is closed when the client had time to read it."""
         self._is_refusing = True
 
-    def become_web_socket(self, *, on_read: Callable[[], None], on_writable: Callable[[], None]) -> None:
-        """Switch to reading messages. `on_read` is called after each read, `on_writable` when writing may continue."""
+    def become_web_socket(
+        self, *, on_read: Callable[[], None], on_full: Callable[[], None], on_writable: Callable[[], None]
+    ) -> None:
+        """Switch to reading messages. `on_read` is called after each read.
+
+        `on_full` is called when the transport has kept bytes that the system did not take, `on_writable` when it has
+        sent them.
+        """
         self._is_web_socket = True
-        self._on_read, self._on_writable = on_read, on_writable
+        self.transport.set_write_buffer_limits(0)
+        tcp = self.transport.get_extra_info("socket")
+        tcp.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        if hasattr(socket, "TCP_NOTSENT_LOWAT"):  # Linux and macOS
+            tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
+        self._on_read, self._on_full, self._on_writable = on_read, on_full, on_writable
 
     def leave_web_socket(self) -> None:
         """Remove the callbacks of the WebSocket."""
-        self._on_read = self._on_writable = _call_nothing
+        self._on_read = self._on_full = self._on_writable = _call_nothing
+
+    def pause(self) -> None:
+        """Leave what arrives in the socket until `resume`: the operations of the client have no room."""
+        if self.transport.is_reading():
+            self._is_full = True
+            self._arrival.arrive(self._came(self._loop.time()))
+            self.transport.pause_reading()
+
+    def resume(self) -> None:
+        """Read again, unless reading was paused before `pause` by the protocol inside: it resumes by itself."""
+        if self._is_full:
+            self._is_full = False
+            if not self.transport.is_closing():
+                self.transport.resume_reading()
+                self.note_reading()
 
     def note_reading(self) -> None:
         """Note that the protocol inside may read again: what waited in the system is read soon, or nothing did."""
@@ -230,13 +263,17 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         super().connection_made(transport)
 
     def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 - asyncio's signature
-        return _INTO[: SOCKET_BYTES if self._is_web_socket else REQUEST_BYTES]
+        if not self._is_web_socket:
+            self._offered_bytes = REQUEST_BYTES
+        else:
+            self._offered_bytes = READ_BYTES if self.unread_bytes < READ_BYTES else SOCKET_BYTES
+        return _INTO[: self._offered_bytes]
 
     def buffer_updated(self, nbytes: int) -> None:
         data = bytes(_INTO[:nbytes])
         self.reads += 1
         self.came_s = self._arrival.arrive(self._came(self._loop.time()))
-        is_full = nbytes == (SOCKET_BYTES if self._is_web_socket else REQUEST_BYTES)
+        is_full = nbytes == self._offered_bytes
         if self._next_request_came_s is None:
             self._next_request_came_s = self.came_s
         if self._held or self._is_refusing:
@@ -262,6 +299,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
     def pause_writing(self) -> None:
         self.is_writing_paused = True
         super().pause_writing()
+        self._on_full()
 
     def resume_writing(self) -> None:
         self.is_writing_paused = False

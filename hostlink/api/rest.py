@@ -257,6 +257,7 @@ class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):
     linear_y: float = 0.0
     priority: Annotated[int, msgspec.Meta(ge=0, le=MAX_PRIORITY)] = PROGRAM_PRIORITY
     epoch: int | None = None  # of the robot, from its state or an answer
+    take_over: bool = False  # from a source of the same priority that drives
 
 
 class LockRequest(msgspec.Struct, forbid_unknown_fields=True):
@@ -442,7 +443,7 @@ class Rest:
         robot = self._find(request)
         odometry = robot.odometry.snapshot(loop_time_s())
         if odometry is None:
-            raise DeviceGone(f"{robot.name}: no odometry has arrived yet")
+            raise DeviceGone(robot.name, robot.why_unknown())
         return reply(odometry_view(odometry))
 
     async def _velocity(self, request: web.Request) -> web.Response:
@@ -452,7 +453,14 @@ class Rest:
         body = convert_velocity(fields, VelocityRequest, f"the body must be {VELOCITY}")
         velocity = PlanarVelocity(body.linear, body.linear_y, body.angular)
         owner = self._owner(request)
-        limited = owner.drive(robot, velocity, priority=body.priority, received_s=request[CAME], epoch=body.epoch)
+        limited = owner.drive(
+            robot,
+            velocity,
+            priority=body.priority,
+            received_s=request[CAME],
+            epoch=body.epoch,
+            take_over=body.take_over,
+        )
         limited = await owner.driven(robot, limited)
         return reply(velocity_answer(robot, velocity, limited))
 

@@ -68,6 +68,7 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
     linear_y: float = 0.0
     is_planar: bool = True  # False: other components of the Twist are not zero, and no robot obeys it
     priority: int = PROGRAM_PRIORITY
+    take_over: bool = False  # from a source of the same priority that drives
     sent_s: float | None = None  # time of sending by the client's own clock
     epoch: int | None = None  # of the robot, from the previous answer
     stops: int | None = None  # synonym of `epoch`
@@ -332,7 +333,8 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityO
         except BadRequest:
             return NOT_A_VELOCITY
         is_timed, is_sideways = wanted.sent_s is not None, wanted.linear_y != 0
-        terms = (wanted.priority, wanted.epoch, wanted.stops, wanted.link, is_timed, is_sideways, wanted.is_planar)
+        epochs = (wanted.epoch, wanted.stops, wanted.link)
+        terms = (wanted.priority, *epochs, is_timed, is_sideways, wanted.is_planar, wanted.take_over)
         is_zero = wanted.is_planar and not (wanted.linear or wanted.linear_y or wanted.angular)
         return VelocityOf("drive", wanted.robot.strip("/"), terms), is_zero
     fields = request.fields
@@ -680,6 +682,7 @@ class DriveCommands:
                 sent_s=wanted.sent_s,
                 epoch=epoch,
                 is_planar=wanted.is_planar,
+                take_over=wanted.take_over,
                 reason=printable(wanted.reason, MAX_REASON),
             )
         except HostlinkError as error:

@@ -2,11 +2,11 @@
 
 import inspect
 import re
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from http import HTTPStatus
 from importlib.metadata import version
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import msgspec
 from aiohttp import ClientConnectionResetError, web
@@ -44,10 +44,11 @@ _REFERENCE = "#/components/schemas/{name}"
 
 
 class ErrorReason(TypedDict):
-    """Reason of an error: a kind for programs, a text for people."""
+    """Reason of an error: a kind for programs, a text for people. holder: of a `held` robot, who drives it."""
 
     kind: str
     reason: str
+    holder: NotRequired[str]
 
 
 class ErrorView(TypedDict):
@@ -197,9 +198,11 @@ def reply_encoded(body: bytes, status: HTTPStatus = HTTPStatus.OK) -> web.Respon
     return answer
 
 
-def refusal(kind: str, reason: str, status: HTTPStatus) -> web.Response:
+def refusal(kind: str, reason: str, status: HTTPStatus, *, holder: Hashable = None) -> web.Response:
     """Return the JSON of an error."""
     body: ErrorView = {"error": {"kind": kind, "reason": reason}}
+    if holder is not None:
+        body["error"]["holder"] = str(holder)
     return reply(body, status)
 
 
@@ -209,8 +212,9 @@ async def explain_errors(request: web.Request, handler: Handler) -> web.StreamRe
     try:
         return await handler(request)
     except HostlinkError as error:
-        status = REFUSAL_STATUS[error.kind] if isinstance(error, CommandRefused) else STATUS[type(error)]
-        return refusal(error.kind, str(error), status)
+        if isinstance(error, CommandRefused):
+            return refusal(error.kind, str(error), REFUSAL_STATUS[error.kind], holder=error.holder)
+        return refusal(error.kind, str(error), STATUS[type(error)])
     except web.HTTPException as error:
         if error.status < HTTPStatus.BAD_REQUEST:
             raise

@@ -85,7 +85,6 @@ PING_INTERVAL_S = 10.0  # a lost client is noticed within 1.5 intervals
 SHUTDOWN_TIMEOUT_S = 0.3
 LINGER_S = 1.0  # for an unexpected body, before its connection is closed
 REQUEST_S = 0.0005  # cost of a small request
-SEND_BUFFER_BYTES = 64 * 1024  # in the process, and again in the kernel, behind the client's queue
 MAX_GROUP = 64  # characters of a group's name
 ALLOWED_HEADERS = "Authorization, Content-Type, Range"
 EXPOSED_HEADERS = "Accept-Ranges, Content-Length, Content-Range, ETag, Last-Modified"  # for readers of recordings
@@ -268,10 +267,6 @@ class ApiServer:
                 reading = reading_of(request)
                 if reading is None:
                     raise ConnectionResetError("the connection was closed during the handshake")
-                # Behind the client's queue nothing drops or counts messages: little fits there.
-                reading.transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
-                tcp = reading.transport.get_extra_info("socket")
-                tcp.setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
                 self._sockets.add(socket)
                 log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
                 async with asyncio.TaskGroup() as tasks:

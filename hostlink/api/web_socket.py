@@ -13,19 +13,20 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from hostlink.api.clients import Client, ClientProgram, ClientQueue, OperationQueue
 from hostlink.api.listener import PacedReading
+from hostlink.api.write_pace import WritePace
 from hostlink.hub.hub import Hub
 from hostlink.latency import Latency
 
 log = structlog.get_logger()
 
 DEBT_S = 1.0  # that a client may be ahead of its message rate: programs subscribe to many topics at first
-SEND_TIMEOUT_S = 5.0  # without progress in writing the client is disconnected
+# Without progress in writing the client is disconnected. Some kernels report that a program reads 24 kB/s each 5 s.
+SEND_TIMEOUT_S = 10.0
 READY_TIMEOUT_S = 1.0  # for the answer to the first ping; after that messages are sent without an answer
 SEND_BATCH = 64  # messages in one write
-WRITE_BYTES = 64 * 1024  # in one write, unless one message is larger
 CLOSING = (WSMsgType.CLOSE, WSMsgType.CLOSING, WSMsgType.CLOSED)
 
-_FINAL_TEXT, _FINAL_BINARY = 0x81, 0x82  # first bytes of a frame: RFC 6455, 5.2
+_FINAL_TEXT, _FINAL_BINARY, _PING, _PONG = 0x81, 0x82, 0x89, 0x8A  # first bytes of a frame: RFC 6455, 5.2
 _MAX_SHORT, _MAX_MEDIUM = 125, 0xFFFF  # largest payloads whose length takes one byte and two bytes
 
 
@@ -39,7 +40,8 @@ class ClientSocket:
     | a device's bytes | the hub queues messages                                                                       |
     | the next one     | `_send` writes all of them at once                                                            |
 
-    While the transport's buffer is full nothing is written: messages wait in the queue, which is bounded and counts.
+    While the transport's buffer is not empty, or a slow client has not read the last write (WritePace), nothing is
+    written: messages wait in the queue, which is bounded and counts.
     """
 
     def __init__(
@@ -70,8 +72,12 @@ class ClientSocket:
         self._flush_timer: asyncio.TimerHandle | None = None
         self._flush_due_s: float | None = None
         self._stuck_timer: asyncio.TimerHandle | None = None
+        self._pace = WritePace()
+        self._full_s = 0.0  # when the transport's buffer filled
+        self._pong: bytes | None = None  # payload of the last ping that is not answered
+        self._pong_timer: asyncio.TimerHandle | None = None
         queue.on_news = self._note_news
-        reading.become_web_socket(on_read=self._expect_work, on_writable=self._note_writable)
+        reading.become_web_socket(on_read=self._expect_work, on_full=self._note_full, on_writable=self._note_writable)
 
     # -- from the client ----------------------------------------------------------------------------------------------
 
@@ -104,13 +110,16 @@ class ClientSocket:
                     await self._refuse_flood()
                     return
                 if not operations.has_room:
+                    self._end_wait(self._pace.skip)  # a pong is behind what is not read now
+                    reading.pause()
                     await self._until(lambda: operations.has_room)
+                    reading.resume()
                 reading.unread_bytes = 0
                 if reading.has_room:
                     reading.give_room()
         finally:
             self._is_ended = True
-            for timer in (self._flush_timer, self._stuck_timer):
+            for timer in (self._flush_timer, self._stuck_timer, self._pong_timer):
                 if timer is not None:
                     timer.cancel()
             reading.leave_web_socket()
@@ -119,9 +128,12 @@ class ClientSocket:
 
     async def _receive_control(self, kind: WSMsgType, data: bytes | None) -> None:
         if kind is WSMsgType.PING:
-            await self._socket.pong(data or b"")
+            self._pong = data or b""  # of several only the last is answered: RFC 6455, 5.5.3
+            self._note_news()
         elif kind is WSMsgType.PONG:
             self._become_ready()
+            if self._pace.confirm(data or b"", self._loop.time()):
+                self._end_wait()
         if kind in (WSMsgType.PING, WSMsgType.PONG):  # otherwise the frame is invalid, and aiohttp closes the socket
             self._reading.receive_control(len(data or b""))
 
@@ -197,18 +209,25 @@ class ClientSocket:
         if self._socket.closed or self._transport.is_closing():
             queue.clear()  # its last operations are executed, and wait for room for their answers
             return
-        if self._is_ended or not self._is_ready or self._reading.is_writing_paused:
+        if self._is_ended or self._reading.is_writing_paused:
+            return
+        now_s = self._loop.time()
+        if self._pong is not None:
+            pong, self._pong = self._pong, None
+            self._transport.write(_control_frame(_PONG, pong))
+        if not self._is_ready or self._reading.is_writing_paused:
             return
         if queue.is_too_slow or queue.is_closed:
             self._tasks.create_task(self._end(), context=self._context)
             return
-        now_s = self._loop.time()
+        if self._pace.is_waiting:
+            return
         try:
             if queue.is_flush_due or (self._flush_due_s is not None and now_s >= self._flush_due_s):
                 self._flush(now_s)
             pieces: list[bytes] = []
             count = size_bytes = 0
-            while count < SEND_BATCH and size_bytes < WRITE_BYTES and (waiting := queue.pop()) is not None:
+            while count < SEND_BATCH and size_bytes < self._pace.max_bytes and (waiting := queue.pop()) is not None:
                 item = waiting.item
                 if item.before:
                     pieces += (frame_head(len(item.before), is_binary=True), item.before)
@@ -218,15 +237,16 @@ class ClientSocket:
                 self._to_client.add(now_s - waiting.since_s)
             if not count:
                 return
+            if self._operations.has_room and (ping := self._pace.ask(now_s)):  # otherwise no pong is read
+                pieces.append(_control_frame(_PING, ping))
+                self._pong_timer = self._loop.call_later(SEND_TIMEOUT_S, self._end_wait, self._pace.give_up)
             self._client.messages_to_client += count
             self._client.bytes_to_client += size_bytes
             self._transport.write(b"".join(pieces))
         except Exception as error:  # noqa: BLE001 - raised in the client's task group
             self._fail(error)
             return
-        if self._reading.is_writing_paused:
-            self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, TimeoutError("it does not read"))
-        elif waiting is not None:  # a bound of this write was reached, and more may wait
+        if waiting is not None:  # a bound of this write was reached, and more may wait
             self._note_news()
 
     def _flush(self, now_s: float) -> None:
@@ -251,12 +271,28 @@ class ClientSocket:
             self._is_ready = True
             self._note_news()
 
+    def _note_full(self) -> None:
+        """Disconnect the client unless the transport's buffer is empty in time."""
+        if not self._is_ended:
+            self._full_s = self._loop.time()
+            error = TimeoutError("it does not read")
+            self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, error, context=self._context)
+
     def _note_writable(self) -> None:
-        """Continue to send: the transport's buffer has room."""
+        """Continue to send: the transport's buffer is empty."""
         if self._stuck_timer is not None:
             self._stuck_timer.cancel()
             self._stuck_timer = None
+            self._pace.note_pause(self._loop.time() - self._full_s)
         self._note_news()
+
+    def _end_wait(self, end: Callable[[], None] = lambda: None) -> None:
+        """Continue to send: the client has read the last write, or is not asked."""
+        end()
+        if self._pong_timer is not None:
+            self._pong_timer.cancel()
+            self._pong_timer = None
+            self._note_news()
 
     # -- its end ------------------------------------------------------------------------------------------------------
 
@@ -293,6 +329,10 @@ def frame_head(size_bytes: int, *, is_binary: bool) -> bytes:
     if size_bytes <= _MAX_MEDIUM:
         return struct.pack("!BBH", first, 126, size_bytes)
     return struct.pack("!BBQ", first, 127, size_bytes)
+
+
+def _control_frame(first: int, payload: bytes) -> bytes:
+    return bytes((first, len(payload))) + payload
 
 
 async def close_going_away(socket: web.WebSocketResponse, timeout_s: float) -> None:

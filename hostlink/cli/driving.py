@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 # -- keys -------------------------------------------------------------------------------------------------------------
 
 ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
-CONTROL = 4  # bit of Ctrl in the modifiers of the kitty keyboard protocol, less 1
+SHIFT, CONTROL = 1, 4  # bits of the modifiers of the kitty keyboard protocol, less 1
 _SEQUENCE = re.compile(rb"\x1b\[(\??)([\d;:]*)([A-Za-z~])")
 _UNFINISHED = re.compile(rb"\x1b(\[[\d;:?]*)?$")
 
@@ -28,6 +28,7 @@ class Key(NamedTuple):
 
     name: str
     action: Action = Action.PRESSED
+    is_shifted: bool = False
 
 
 class KeyReader:
@@ -60,7 +61,8 @@ class KeyReader:
 
 def _from_byte(data: bytes) -> Key:
     names = {b" ": "space", b"\x03": "ctrl-c", b"\x04": "ctrl-d", b"\x1b": "escape"}
-    return Key(names.get(data, data.decode("ascii", errors="replace").lower()))
+    text = data.decode("ascii", errors="replace")
+    return Key(names.get(data, text.lower()), is_shifted=text.isupper())
 
 
 def _from_sequence(question: str, numbers: str, final: str) -> Key | None:
@@ -70,14 +72,16 @@ def _from_sequence(question: str, numbers: str, final: str) -> Key | None:
     code, _, rest = numbers.partition(";")
     modifiers, _, action = rest.partition(":")
     happened = Action(action) if action in ("1", "2", "3") else Action.PRESSED
+    held = int(modifiers) - 1 if modifiers.isdecimal() else 0
+    is_shifted = bool(held & SHIFT)
     if final in ARROWS:
-        return Key(ARROWS[final], happened)
+        return Key(ARROWS[final], happened, is_shifted)
     if final != "u" or not code.split(":")[0].isdecimal():
         return Key(f"sequence {numbers}{final}", happened)
     letter = chr(min(int(code.split(":")[0]), 0x10FFFF)).lower()
-    if modifiers.isdecimal() and (int(modifiers) - 1) & CONTROL:
+    if held & CONTROL:
         return Key(f"ctrl-{letter}", happened)
-    return Key({" ": "space", "\x1b": "escape"}.get(letter, letter), happened)
+    return Key({" ": "space", "\x1b": "escape"}.get(letter, letter), happened, is_shifted)
 
 
 # -- velocity ---------------------------------------------------------------------------------------------------------
@@ -89,6 +93,9 @@ SEND_INTERVAL_S = 0.1
 ZEROS = 3  # one may be lost on a radio link
 
 Direction = tuple[int, int]  # forward, counter-clockwise
+Velocity = tuple[float, float, float]  # m/s forward, rad/s counter-clockwise, m/s to the left
+STANDING: Velocity = (0.0, 0.0, 0.0)
+_SHIFTED = {"<": ",", ">": "."}  # keys of the field with shift, as teleop_twist_keyboard has them
 
 _ORIGINAL: dict[str, Direction] = {
     "w": (1, 0), "e": (1, -1),
@@ -126,12 +133,17 @@ class Driving:
     A terminal sends presses and repeats, and few send releases: a key counts as held for GRACE_S after its first press
     and for HOLD_S after each repeat. A key without a meaning stops the robot. Keys that are held at that moment have no
     effect until they are released and pressed again.
+
+    With shift, a key that turns moves the robot sideways instead, if its drive can: set `has_y`. A drive that cannot
+    turn in place is not asked to: set `turns_in_place`.
     """
 
     def __init__(self, *, layout: str, linear_m_s: float, angular_rad_s: float) -> None:
         directions, self._speed_keys = LAYOUTS[layout]
         self._directions = {key: way for key, way in directions.items() if key not in self._speed_keys}
         self.linear_m_s, self.angular_rad_s = linear_m_s, angular_rad_s
+        self.has_y, self.turns_in_place = False, True
+        self._shifted: set[str] = set()  # keys whose newest press or repeat came with shift
         self._held: dict[str, float] = {}  # key -> time at which it counts as released
         self._barred: dict[str, float] = {}  # key without effect -> time at which it counts as released
         self._zeros = 0
@@ -143,6 +155,8 @@ class Driving:
 
     def receive(self, key: Key, now_s: float) -> None:
         """Apply the press, repeat or release of a key."""
+        if self.has_y and key.name in _SHIFTED:
+            key = Key(_SHIFTED[key.name], key.action, is_shifted=True)
         if self._is_barred(key, now_s):
             return
         if key.name in self._speed_keys:
@@ -153,6 +167,7 @@ class Driving:
         elif key.name in self._directions:
             is_repeat = self._held.get(key.name, float("-inf")) > now_s
             self._held[key.name] = now_s + (HOLD_S if is_repeat else GRACE_S)
+            (self._shifted.add if key.is_shifted else self._shifted.discard)(key.name)
         else:
             self.bar(now_s)
 
@@ -174,23 +189,31 @@ class Driving:
         self._held.clear()
         self._send_at_s = float("-inf")
 
-    def velocity(self, now_s: float) -> tuple[float, float]:
-        """Return (m/s, rad/s) of the keys that are held now."""
+    def velocity(self, now_s: float) -> Velocity:
+        """Return the velocity of the keys that are held now."""
         self._held = {key: until_s for key, until_s in self._held.items() if until_s > now_s}
-        ways = [self._directions[key] for key in self._held]
-        forward = max(-1, min(1, sum(way for way, _ in ways)))
-        turn = max(-1, min(1, sum(way for _, way in ways)))
-        return forward * self.linear_m_s, turn * self.angular_rad_s
+        ways = [self._way(key) for key in self._held]
+        forward, turn, left = (max(-1, min(1, sum(way))) for way in zip(*ways, strict=True)) if ways else (0, 0, 0)
+        if not (forward or left or self.turns_in_place):
+            turn = 0
+        return forward * self.linear_m_s, turn * self.angular_rad_s, left * self.linear_m_s
+
+    def _way(self, key: str) -> tuple[int, int, int]:
+        """Forward, counter-clockwise and to the left, of a held key. Back to the left is a clockwise curve."""
+        forward, turn = self._directions[key]
+        if self.has_y and key in self._shifted:
+            return forward, 0, -turn if forward < 0 else turn
+        return forward, turn, 0
 
     @property
     def is_ending(self) -> bool:
         """Whether zeros remain to be sent."""
         return self._zeros > 0
 
-    def due(self, now_s: float) -> tuple[float, float] | None:
+    def due(self, now_s: float) -> Velocity | None:
         """Return the velocity to send now: while driving, then ZEROS zeros; None if none is due."""
         velocity = self.velocity(now_s)
-        is_moving = velocity != (0.0, 0.0)
+        is_moving = velocity != STANDING
         if is_moving:
             self._zeros = ZEROS
         elif self._zeros == ZEROS:

@@ -13,6 +13,7 @@ import socket
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from time import thread_time
 from typing import Any
 
 import structlog
@@ -38,6 +39,7 @@ from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.recordings import Recordings
+from hostlink.recording.robot_names import kept_names, names_file
 from hostlink.transport.tcp import advertised, serve_tcp
 from hostlink.transport.udp import serve_udp
 
@@ -45,6 +47,9 @@ from hostlink.transport.udp import serve_udp
 
 log = structlog.get_logger()
 
+FIRST_TRY_S = (
+    2.0  # to open the serial ports: a USB adapter needs milliseconds, a reset of its board a tenth of a second
+)
 SWITCH_INTERVAL_S = 0.0005  # a tenth of Python's default
 M_MMAP_THRESHOLD = -3  # of malloc.h
 LARGE_BYTES = 128 * 1024  # glibc's own threshold at the start
@@ -65,6 +70,8 @@ class Addresses:
     tcp: tuple[str, int]
     api: str
     udp: tuple[str, int] | None = None
+    serial: tuple[str, ...] = ()  # open ports
+    missing: tuple[str, ...] = ()  # ports that are waited for
 
 
 @contextlib.asynccontextmanager
@@ -88,19 +95,21 @@ async def running(
         config.message_folders
     )  # one may be on a dead disk, while the event loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
-    hub = Hub(config, catalog, guard=guard, slept_s=slept_s)
+    hub = Hub(config, catalog, guard=guard, slept_s=slept_s, computed_s=thread_time)
     reloader = Reloader(hub, read)
     try:
         async with (
             complaints_logged(),
             _hub_running(hub),
+            kept_names(hub, names_file(config)),
             _recordings(hub) as recordings,
             _graphs(hub, config, on_graph_end),
             _listening(hub, config, recordings, reloader, listening, on_listening) as addresses,
         ):
             udp = {} if addresses.udp is None else {"udp": spelled(*addresses.udp)}
             loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
-            log.info("daemon.started", tcp=spelled(*addresses.tcp), api=addresses.api, loop=loop, **udp)
+            ports = {"serial": list(addresses.serial), "missing": list(addresses.missing)} if config.serial else {}
+            log.info("daemon.started", tcp=spelled(*addresses.tcp), api=addresses.api, loop=loop, **udp, **ports)
             try:
                 yield hub, addresses
             except Exception as error:
@@ -149,18 +158,35 @@ async def _listening(
         contextlib.AsyncExitStack() as last,  # mDNS may be slow
     ):
         acceptor = TcpAcceptor(hub, config.tcp)
+        tried = [asyncio.Event() for _ in config.serial]
         async with (
             serve_tcp(
                 config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, listening=listening
             ) as listener,
             _datagrams(hub, config.udp) as udp,
-            meanwhile(*((port.name, serve_serial(hub, port)) for port in config.serial)),
+            meanwhile(
+                *(
+                    (port.name, serve_serial(hub, port, on_tried=event.set))
+                    for port, event in zip(config.serial, tried, strict=True)
+                )
+            ),
         ):
             on_listening()
             await last.enter_async_context(advertised(config.tcp, listener.address))
             last.enter_context(reload_signal(reloader))
             hub.listening = Listening(listener.address, udp)
-            yield Addresses(listener.address, api, udp)
+            await _all_set(tried)
+            missing = tuple(port.name for port in config.serial if port.name in hub.diagnoses.ports)
+            serial = tuple(port.name for port in config.serial if port.name not in missing)
+            yield Addresses(listener.address, api, udp, serial, missing)
+
+
+async def _all_set(events: Sequence[asyncio.Event]) -> None:
+    """Wait until every serial port was tried once, so that the first lines of the log say which are missing."""
+    with contextlib.suppress(TimeoutError):  # a driver that hangs
+        async with asyncio.timeout(FIRST_TRY_S):
+            for event in events:
+                await event.wait()
 
 
 @contextlib.asynccontextmanager

@@ -222,14 +222,18 @@ class Sentences:
         self._option = ""  # for commands, if the API has another address than theirs
 
     def __call__(self, event: Mapping[str, object]) -> str | None:
-        """Return the sentence of an event; None if it has none."""
+        """Return the sentence of an event; None if it has none: then a warning is shown as a line of the log."""
         match event["event"]:
             case "daemon.started":
                 url = event["api"]
                 self._option = "" if url == f"http://127.0.0.1:{ApiConfig().port}" else f" --url {url}"
                 udp = f", over UDP to {event['udp']}" if "udp" in event else ""
-                boards = f"boards connect to {event['tcp']}{udp}"
+                serial, missing = _listed(event, ", and are at ", "serial"), _listed(event, "; waiting for ", "missing")
+                boards = f"boards connect to {event['tcp']}{udp}{serial}{missing}"
                 return f"hostlink runs: {url}  (open it in a browser)\n{boards}; Ctrl-C ends hostlink"
+            case "serial.waiting":
+                reason = str(event["reason"]).removeprefix(f"{event['port']}: ")
+                return f"{event['port']} cannot be used: {reason}\n  next: {event['next_step']}"
             case "robot.appeared" if event.get("velocity"):
                 robot = shlex.quote(str(event["robot"]))
                 return f"{event['robot']} is ready; to drive it: hostlink teleop {robot}{self._option}"
@@ -240,6 +244,11 @@ class Sentences:
             case "daemon.stopped":
                 return "hostlink has ended"
         return None
+
+
+def _listed(event: Mapping[str, object], start: str, key: str) -> str:
+    names = event.get(key)
+    return start + ", ".join(names) if isinstance(names, list) and names else ""
 
 
 # -- examples ---------------------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 import asyncio
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -11,7 +11,7 @@ from hostlink.cli.output import end_line, write_error
 from hostlink.errors import ConfigError
 from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
 from hostlink.sim.firmware_world import RobotKind
-from hostlink.sim.robot import FAULTS, HEALTHY
+from hostlink.sim.robot import FAULTS, HEALTHY, WHEEL_FAULTS
 from hostlink.sim.run import run_fleet
 from hostlink.text_file import read_text
 
@@ -35,19 +35,40 @@ def command(
         typer.Option(help="File of lines name=value, for other motors, wheels and floors than the default."),
     ] = None,
     robot: Kind = RobotKind.PAPER,
+    kinematics: Annotated[
+        Literal["skid_steer", "mecanum", "omni3", "omni4", "ackermann"] | None,
+        typer.Option(help="Another drive than the firmware's two wheels: a robot whose wheels turn as they are told."),
+    ] = None,
     fault: Annotated[
         str | None, typer.Option(help=f"Fault of the robots, to see how it is reported: {', '.join(FAULTS)}.")
     ] = None,
 ) -> None:
-    """Run simulated robots: the paper's firmware in a simulated world, on a 38400 baud UART."""
-    require_wasmtime("hostlink sim")
+    """Run simulated robots: the paper's firmware in a simulated world, on a 38400 baud UART.
+
+    With --kinematics: a robot of another drive, without motors and without a UART.
+    """
+    if kinematics is None:
+        require_wasmtime("hostlink sim")
+    elif world is not None:
+        raise ConfigError("--world", "a robot of --kinematics has no motors and no floor; leave out one of the two")
+    elif fault in WHEEL_FAULTS:
+        raise ConfigError("--fault", f"{fault} is a fault of a motor, which a robot of --kinematics does not have")
     if fault is not None and fault not in FAULTS:
         raise ConfigError("--fault", f"unknown fault {fault!r}; choose one of {', '.join(FAULTS)}")
     chosen = HEALTHY if fault is None else FAULTS[fault]
     host, port = parse_address("--connect", connect, "127.0.0.1")
     parameters = WorldParameters() if world is None else read_world(world)
     fleet = run_fleet(
-        host, port, robots=robots, first=first, is_udp=udp, fault=chosen, world=parameters, kind=robot, log=write_error
+        host,
+        port,
+        robots=robots,
+        first=first,
+        is_udp=udp,
+        fault=chosen,
+        world=parameters,
+        kind=robot,
+        kinematics=kinematics,
+        log=write_error,
     )
     try:
         asyncio.run(fleet)

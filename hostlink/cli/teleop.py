@@ -17,7 +17,7 @@ import typer
 from hostlink.cancellation import first_error, meanwhile
 from hostlink.cli.arguments import Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import connected
-from hostlink.cli.driving import Confirmation, Driving, Key, KeyReader, Layout
+from hostlink.cli.driving import STANDING, Confirmation, Driving, Key, KeyReader, Layout, Velocity
 from hostlink.cli.output import draw, terminal_size, write_control
 from hostlink.cli.robots import name_of
 from hostlink.cli.teleop_screen import QUIT_KEY, UNLOCK_KEY, OwnState, lost_screen, screen
@@ -25,6 +25,7 @@ from hostlink.client import DEFAULT_URL, Event, Host, Refusal, Robot, RobotState
 from hostlink.client.views import Odometry, Twist
 from hostlink.errors import ConfigError, HostlinkError, RefusalKind, UnknownTopic
 from hostlink.loop_time import loop_time_s
+from hostlink.robot.kinematics import DRIVES, PlanarDrive
 from hostlink.robot.standstill import DriveWatch, Speeds
 
 # -- terminal ---------------------------------------------------------------------------------------------------------
@@ -122,6 +123,10 @@ class KeyDriver:
         After a refusal the keys have no effect until they are released and pressed again; except while a driver of
         higher priority has the robot.
         """
+        drive = DRIVES.get(
+            self._watched.state.get("kinematics", ""), PlanarDrive
+        )()  # of a newer daemon: may be another
+        self._driving.has_y, self._driving.turns_in_place = drive.has_y, drive.turns_in_place
         refused, before = self._robot.refusal, self._refused
         self._refused = refused
         if refused is not None and refused is not before:  # another command was refused
@@ -134,9 +139,9 @@ class KeyDriver:
         if velocity is not None:
             await self.send(velocity)
 
-    async def send(self, velocity: tuple[float, float]) -> None:
+    async def send(self, velocity: Velocity) -> None:
         """Send one velocity."""
-        self._is_moving = velocity != (0.0, 0.0)
+        self._is_moving = velocity != STANDING
         await self._robot.command(*velocity)
 
     async def stop(self) -> None:
@@ -208,6 +213,8 @@ def command(
     change both speeds: t b; the forward speed: y n; the turning speed: u m
 
     stop the robot, also when another program drives it: space, s, k
+
+    sideways, if the robot can: shift with a key that turns; J L U O M < > as in teleop_twist_keyboard
 
     unlock a locked robot: r twice; let go: any other key; end: q, Ctrl-C
 
@@ -282,7 +289,7 @@ async def _obey(keyboard: "_Keyboard", driver: KeyDriver) -> None:
         await driver.stop()
     await driver.unlock(keyboard.pop_unlock())
     if keyboard.wants_suspend:
-        await driver.send((0.0, 0.0))
+        await driver.send(STANDING)
         keyboard.suspend()
     await driver.send_due()
 

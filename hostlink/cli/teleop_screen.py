@@ -52,6 +52,8 @@ def screen(state: RobotState, driving: Driving, now_s: float, own: OwnState, *, 
     lines.append(
         Line(f"arrows drive too; space, k or s stops the robot; any other key lets go; {ending(driving)} ends")
     )
+    if driving.has_y:
+        lines.insert(-1, Line("shift with a key that turns: sideways"))
     return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
 
 
@@ -67,7 +69,7 @@ def lost_screen(name: str, reason: str, driving: Driving, *, width: int) -> list
 
 
 def _facts(state: RobotState, driving: Driving, now_s: float, own: OwnState) -> Iterator[Line]:
-    linear_m_s, angular_rad_s = driving.velocity(now_s)
+    linear_m_s, angular_rad_s, left_m_s = driving.velocity(now_s)
     is_connected = state["connected"]
     connected = "connected" if is_connected else "NOT CONNECTED"
     yield Line(f"hostlink teleop   {state['name']}   {connected}", "" if is_connected else RED)
@@ -77,7 +79,8 @@ def _facts(state: RobotState, driving: Driving, now_s: float, own: OwnState) -> 
     else:
         yield Line(own.warning, YELLOW)
     yield Line(f"speeds    {driving.linear_m_s:5.2f} m/s  {driving.angular_rad_s:5.2f} rad/s")
-    yield Line(f"command   {linear_m_s:+5.2f} m/s  {angular_rad_s:+5.2f} rad/s")
+    sideways = f"  {left_m_s:+5.2f} m/s to the left" if left_m_s else ""
+    yield Line(f"command   {linear_m_s:+5.2f} m/s  {angular_rad_s:+5.2f} rad/s{sideways}")
     yield from _odometry(state)
     why = "" if state.get("locked") else own.refusal
     yield Line(f"driven by {driver(state, own.client_name) or 'nobody'}   {why}".rstrip(), YELLOW if why else "")

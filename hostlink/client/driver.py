@@ -1,6 +1,7 @@
 """Velocities that this client commands: those that one task repeats, and single ones.
 
-What is broken off is never resumed.
+What is broken off is never resumed. The program must let go of the robot, as every source of commands, or say that it
+resumes.
 """
 
 import asyncio
@@ -18,11 +19,14 @@ from hostlink.client.connection import HostConnection, Message
 from hostlink.client.http_client import CLOSE_TIMEOUT_S
 from hostlink.client.views import Driven, MotionKind, Refusal
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind, Refused
-from hostlink.robot.admission import LEASE_S
+from hostlink.robot.admission import EARLIER_EPOCH, LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 
 REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
 _COMMAND = "command:"
+LET_GO = (
+    f"this program drives again after stop(), a zero or {LEASE_S:g} s without drive(), or with drive(..., resume=True)"
+)
 
 ANSWER_TIMEOUT_S = 1.0
 IDLE_TIMEOUT_S = 10.0  # a loop of a program calls more often, and a person notices a robot that does not stop
@@ -36,11 +40,21 @@ class Broken(NamedTuple):
     kind: str
     reason: str
     by: str | None = None  # who drives or locked the robot, or what disarmed this program; None: unknown
+    holder: str | None = None  # who drives the robot, for `held`
 
 
 class _Ended(NamedTuple):
-    number: int  # of the velocity that was broken off
+    """A velocity that was broken off, until the program lets go of the robot.
+
+    It has let go when it made no call that drives for a lease after it was told: until then it knows nothing of it.
+    """
+
+    number: int
     broken: Broken
+    told_s: float = math.inf  # the newest call that raised the reason, or the end of the motion that has it as a result
+
+    def has_let_go(self, now_s: float) -> bool:
+        return now_s >= self.told_s + LEASE_S
 
 
 @dataclass(slots=True)
@@ -51,11 +65,11 @@ class _Stream:
     epoch: int | None = None
 
 
-class _Told(NamedTuple):
-    """The epoch of an interruption that the program knows of, and until when it needs it to drive again."""
+class _Unlocked(NamedTuple):
+    """The epoch of an unlock by this program, and until when the program needs it to drive again."""
 
     epoch: int
-    until_s: float = math.inf
+    until_s: float
 
 
 @dataclass(slots=True)
@@ -69,6 +83,7 @@ class Repeated:
     thread: threading.Thread | None = field(default_factory=calling_thread.get)  # None: the connection's own
     is_kept: bool = False  # after the end of a notebook's cell, and without calls of the program
     is_motion: bool = False  # which ends by itself
+    is_zero: bool = False
     task: asyncio.Task[Any] | None = field(default_factory=asyncio.current_task)  # that called `drive`
 
     def is_of_ended_thread(self) -> bool:
@@ -88,8 +103,17 @@ class VelocitySender:
 
     A repeated command ends by the next `drive` or `stop`; it is broken off by a refusal, by the loss of the connection,
     by a new connection of the robot's device, when this program did not run, or could not send, for longer than a
-    command holds, and when the program made no call for `idle_timeout_s`. Then the robot stops, and the next `drive`
-    raises why, once, instead of driving.
+    command holds, and when the program made no call for `idle_timeout_s`. Then the robot stops.
+
+    | state   | event                                                        | next    | the call                   |
+    |---------|--------------------------------------------------------------|---------|----------------------------|
+    | driving | the velocity is broken off; `drive` is refused or unanswered | stopped | raises why                 |
+    | stopped | `drive` with a velocity                                      | stopped | raises why, sends nothing  |
+    | stopped | `drive` of a zero, or with `resume`; `stop`, own `unlock`    | free    | as without an interruption |
+    | stopped | a lease without a `drive` after one that raised              | free    |                            |
+    | free    | `drive` with a velocity                                      | driving | returns, or raises         |
+
+    A zero that is refused because another source drives breaks nothing off.
     """
 
     def __init__(self, connection: HostConnection, callers: Callers, *, idle_timeout_s: float = IDLE_TIMEOUT_S) -> None:
@@ -101,10 +125,10 @@ class VelocitySender:
         self._now_s, self._idle_timeout_s = self._callers.now_s, idle_timeout_s
         self._numbers = itertools.count(1)
         self._repeated: dict[str, Repeated] = {}
-        self._broken: dict[str, _Ended] = {}
+        self._ended: dict[str, _Ended] = {}  # by robot: of which the program has not let go since
         self._newest: dict[str, int] = {}  # by robot: number of the newest call that drove or stopped it
         self._newest_of_all = 0  # number of the newest call that stopped all robots
-        self._told: dict[str, _Told] = {}  # by robot
+        self._unlocked: dict[str, _Unlocked] = {}  # by robot
         self._streams: dict[str, _Stream] = {}
         self._sent_s: dict[str, float] = {}  # by robot: the newest command that was sent
         self._ran_s = -math.inf  # the newest time at which this program is known to have run
@@ -116,14 +140,24 @@ class VelocitySender:
         return tuple(self._repeated)
 
     async def drive(
-        self, robot: str, velocity: PlanarVelocity, priority: int, *, is_kept: bool = False, number: int | None = None
+        self,
+        robot: str,
+        velocity: PlanarVelocity,
+        priority: int,
+        *,
+        is_kept: bool = False,
+        number: int | None = None,
+        take_over: bool = False,
+        resume: bool = False,
     ) -> Driven:
         """Command, and repeat it from now on; returns when the daemon has accepted it.
 
-        `number`: of a motion, from `next_number`; it ends by itself.
+        `number`: of a motion, from `next_number`; it ends by itself. `take_over`: from another source of the same
+        priority; repetitions do not. `resume`: also if the program has not let go since it was interrupted.
 
         Raises:
-            HostlinkError: it was refused, and nothing is repeated; or what was repeated before was broken off.
+            HostlinkError: it was refused, and nothing is repeated; or what was repeated before was broken off, and the
+                program has not let go since.
         """
         self._callers.note()
         before, is_motion = self._repeated.get(robot), number is not None
@@ -134,13 +168,17 @@ class VelocitySender:
         except BaseException:  # the earlier velocity is outdated, and the new one is invalid
             self.stop_repeating(robot)
             raise
-        if (ended := self._broken.pop(robot, None)) is not None:
-            await self._tell(robot, priority)
-            raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {ended.broken.reason}")
-        repeated = Repeated(number, request, self._now_s(), is_kept=is_kept, is_motion=is_motion)
+        if resume and before is None:
+            self._ended.pop(robot, None)
+            await self._connection.send({**_request(robot, ZERO, priority), "id": f"zero:{robot}"})
+        self._check_let_go(robot, velocity)
+        repeated = Repeated(
+            number, request, self._now_s(), is_kept=is_kept, is_motion=is_motion, is_zero=velocity.is_zero
+        )
         self._repeated[robot] = repeated
+        was_driving = before is not None and (is_motion or not before.is_zero)  # a motion continues after a zero
         try:
-            answer = await self._command(repeated, before)
+            answer = await self._command(repeated, before if was_driving else None, take_over=take_over)
             driven = _driven(answer)
             self.notice_sleep()  # the lease may have ended before the answer was read
             repeated.epoch, repeated.sent_s = int(answer["epoch"]), self._now_s()
@@ -150,10 +188,25 @@ class VelocitySender:
         except BaseException as error:  # a cancellation too: an abandoned command is not repeated
             if self._repeated.get(robot, repeated) is repeated:  # or it was broken off, which is raised here
                 self.stop_repeating(robot)
-                if not isinstance(error, HostlinkError | GeneratorExit):  # it may be on its way, and hold for a lease
+                if isinstance(error, HostlinkError):
+                    if was_driving or not isinstance(error, CommandRefused | Refused):
+                        self._ended[robot] = _Ended(number, _broken_by_error(error), self._now_s())
+                elif not isinstance(error, GeneratorExit):  # it may be on its way, and hold for a lease
                     await self.send_zero(robot, priority)
             raise
         return driven
+
+    def _check_let_go(self, robot: str, velocity: PlanarVelocity) -> None:
+        """Raise why a velocity was broken off, unless the program has let go since, or does now."""
+        ended, now_s = self._ended.pop(robot, None), self._now_s()
+        if ended is None or velocity.is_zero or ended.has_let_go(now_s):
+            return
+        self._ended[robot] = ended._replace(told_s=now_s)
+        kind, reason, by, holder = ended.broken
+        text = f"{robot} was stopped: {reason}; {LET_GO}"
+        if kind in set(RefusalKind):
+            raise CommandRefused(robot, RefusalKind(kind), text, holder=holder, by=by)
+        raise HostlinkError(text)
 
     def number_of(self, robot: str) -> int | None:
         """Number of the velocity that is repeated; another call of `drive` gives another one. None: none is."""
@@ -168,55 +221,41 @@ class VelocitySender:
         """Number of the newest call of this program that drove or stopped a robot; 0: none did."""
         return max(self._newest.get(robot, 0), self._newest_of_all)
 
-    async def pop_end(self, robot: str, priority: int, number: int) -> Broken:
-        """Return why the velocity of this number is repeated no more. The program is told, and may drive again."""
-        ended = self._broken.get(robot)
+    def pop_end(self, robot: str, number: int) -> Broken:
+        """Return why the velocity of this number is repeated no more. The program is told, and must let go."""
+        ended = self._ended.get(robot)
         if ended is None or ended.number != number:  # the notice of a newer velocity is for the newer call
             return Broken(MotionKind.PROGRAM, f"this program stopped {robot} or drove it otherwise")
-        del self._broken[robot]
-        await self._tell(robot, priority)
+        self._ended[robot] = ended._replace(told_s=self._now_s())
         return ended.broken
 
-    async def _command(self, repeated: Repeated, before: Repeated | None) -> Message:
+    async def _command(self, repeated: Repeated, before: Repeated | None, *, take_over: bool) -> Message:
         """Command with the epoch of the motion before: what was interrupted since must not go on without notice.
 
-        After an interruption that this program was told of, the epoch is the one since then.
+        After an unlock by this program, the epoch is that of the unlock.
         """
         robot = str(repeated.request["robot"])
         self._sent_s[robot] = repeated.sent_s
-        told = self._told.pop(robot, None)
-        epoch = told.epoch if told is not None and repeated.sent_s < told.until_s else None
+        unlocked = self._unlocked.pop(robot, None)
+        epoch = unlocked.epoch if unlocked is not None and repeated.sent_s < unlocked.until_s else None
         epoch = epoch if before is None else before.epoch
         request = {**repeated.request, "sent_s": repeated.sent_s, "epoch": epoch}
+        if take_over:
+            request["take_over"] = True
         answer = await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S)
         if not answer["result"]:
-            self._note_told(robot, answer)
             raise refused(robot, answer)
         self._remember_name(answer)
         return answer
-
-    async def _tell(self, robot: str, priority: int) -> None:
-        """Note the epoch at which the program is told that its motion was broken off: it may be later than the refusal.
-
-        The answer to a zero has it; the program has let go. Without a connection there is none to know.
-        """
-        request = {**_request(robot, ZERO, priority), "sent_s": self._now_s()}
-        with contextlib.suppress(HostlinkError):
-            self._note_told(robot, await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S))
-
-    def _note_told(self, robot: str, answer: Message) -> None:
-        """The program learns of an interruption, by an error: when it drives again, it means it."""
-        if (epoch := answer.get("epoch")) is not None:
-            self._told[robot] = _Told(int(epoch))
 
     def note_own_unlock(self, robot: str, answer: Message) -> None:
         """The program has seen the interruption that it ends: when it drives again, it means it.
 
         After a lease it has let go, and drives without the epoch.
         """
-        self._broken.pop(robot, None)
+        self._ended.pop(robot, None)
         if (epoch := answer.get("epoch")) is not None:
-            self._told[robot] = _Told(int(epoch), self._now_s() + LEASE_S)
+            self._unlocked[robot] = _Unlocked(int(epoch), self._now_s() + LEASE_S)
 
     async def command(
         self,
@@ -226,6 +265,7 @@ class VelocitySender:
         *,
         epoch: int | None = None,
         is_planar: bool = True,
+        take_over: bool = False,
     ) -> None:
         """Send one command, which is not repeated; its answer is not waited for, and is in `refusals` if it is one.
 
@@ -245,6 +285,8 @@ class VelocitySender:
         request: dict[str, Any] = {"id": f"{_COMMAND}{stream.number}:{robot}", "sent_s": now_s, "epoch": epoch}
         if not is_planar:
             request["is_planar"] = False
+        if take_over:
+            request["take_over"] = True
         await self._connection.send(_request(robot, velocity, priority) | request)
 
     def give_up(self, is_meant: Callable[[Repeated], bool] | None = None) -> tuple[str, ...]:
@@ -261,14 +303,14 @@ class VelocitySender:
 
     def stop_repeating_all(self) -> tuple[str, ...]:
         """Repeat nothing more, and end motions that have not commanded yet; returns the robots that were driven."""
-        self._broken.clear()
+        self._ended.clear()
         return self.give_up()
 
     def stop_repeating(self, robot: str) -> None:
         """Repeat it no more, and end a motion that has not commanded yet; the caller knows of the end."""
         self._newest[robot] = self.next_number()
         self._repeated.pop(robot, None)
-        self._broken.pop(robot, None)
+        self._ended.pop(robot, None)
 
     async def send_zero(self, robot: str, priority: int) -> None:
         """Send a zero after commands that may still be in transit: a stop by REST overtakes them.
@@ -288,6 +330,8 @@ class VelocitySender:
 
     def break_all(self, reason: str) -> tuple[str, ...]:
         """The connection is lost; returns the robots that were driven."""
+        for stream in self._streams.values():
+            stream.epoch = EARLIER_EPOCH  # to the daemon the next connection is another source
         driven = self.robots
         for robot in driven:
             self._break(robot, Broken(MotionKind.CONNECTION, reason))
@@ -349,28 +393,35 @@ class VelocitySender:
                 stream.epoch = int(answer["epoch"])
         elif broken is not None:
             for robot, repeated in list(self._repeated.items()):
-                if key == f"repeat:{repeated.number}":
-                    self._note_told(robot, answer)
+                is_at_rest = repeated.is_zero and not repeated.is_motion
+                is_harmless = is_at_rest and broken.kind == RefusalKind.HELD  # nothing was interrupted
+                if key == f"repeat:{repeated.number}" and not is_harmless:
                     self._break(robot, broken)
 
     def _remember_name(self, answer: Message) -> None:
         self.client_name = answer.get("client", self.client_name)  # a refusal has none, an older daemon neither
 
     def _break(self, robot: str, broken: Broken) -> None:
-        self._broken[robot] = _Ended(self._repeated.pop(robot).number, broken)
+        self._ended[robot] = _Ended(self._repeated.pop(robot).number, broken)
 
 
 def refused(robot: str, answer: Message) -> HostlinkError:
     """The error of an answer that refuses a command."""
-    kind, reason, by = _broken_by(answer)
+    kind, reason, by, holder = _broken_by(answer)
     if kind not in set(RefusalKind):
         return Refused(kind, reason)
-    return CommandRefused(robot, RefusalKind(kind), reason, holder=answer.get("holder"), by=by)
+    return CommandRefused(robot, RefusalKind(kind), reason, holder=holder, by=by)
 
 
 def _broken_by(answer: Message) -> Broken:
     by = answer.get("by") or answer.get("holder")  # an older daemon sends only the holder, or none of both
-    return Broken(str(answer["kind"]), str(answer["reason"]), by)
+    return Broken(str(answer["kind"]), str(answer["reason"]), by, answer.get("holder"))
+
+
+def _broken_by_error(error: HostlinkError) -> Broken:
+    if isinstance(error, CommandRefused):
+        return Broken(error.kind, error.reason, error.by, None if error.holder is None else str(error.holder))
+    return Broken(MotionKind.CONNECTION, str(error))
 
 
 def _request(robot: str, velocity: PlanarVelocity, priority: int) -> dict[str, Any]:

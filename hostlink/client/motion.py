@@ -43,6 +43,13 @@ GRACE_S, TIMES_LONGER = 10.0, 4.0  # of the default timeout: a robot's limits ma
 OnProgress = Callable[[Progress], object]
 
 
+class Begin(NamedTuple):
+    """Permissions of the first command of a motion: take the robot over, and drive without letting go before."""
+
+    take_over: bool = False
+    resume: bool = False
+
+
 class Fix(NamedTuple):
     """A pose, and the number of restarts of the robot's board until then."""
 
@@ -203,8 +210,8 @@ class CoursePilot:
 class _Held:
     """The velocity of one motion for the length of a block, as long as no other call ends it."""
 
-    def __init__(self, driver: VelocitySender, robot: str, priority: int) -> None:
-        self._driver, self._robot, self._priority = driver, robot, priority
+    def __init__(self, driver: VelocitySender, robot: str, priority: int, begin: "Begin") -> None:
+        self._driver, self._robot, self._priority, self._begin = driver, robot, priority, begin
         self._newest = driver.newest(robot)  # number of the motion's own newest call; before: of the one before it
         self._has_driven = False
 
@@ -219,13 +226,21 @@ class _Held:
     async def drive(self, velocity: PlanarVelocity) -> Driven:
         """Command a velocity. A call of this program meanwhile is noticed by `is_lost`."""
         self._newest = self._driver.next_number()
-        driven = await self._driver.drive(self._robot, velocity, self._priority, number=self._newest)
+        begin = Begin() if self._has_driven else self._begin
+        driven = await self._driver.drive(
+            self._robot,
+            velocity,
+            self._priority,
+            number=self._newest,
+            take_over=begin.take_over,
+            resume=begin.resume,
+        )
         self._has_driven = True
         return driven
 
-    async def pop_end(self, elapsed_s: float) -> Motion:
+    def pop_end(self, elapsed_s: float) -> Motion:
         """Result of a motion that something else has ended."""
-        end = await self._driver.pop_end(self._robot, self._priority, self._newest)
+        end = self._driver.pop_end(self._robot, self._newest)
         by = "this program" if end.kind == MotionKind.PROGRAM else end.by
         return Motion(MotionOutcome.STOPPED, elapsed_s, kind=end.kind, by=by, reason=end.reason)
 
@@ -245,7 +260,7 @@ def _refused(error: HostlinkError, elapsed_s: float) -> Motion:
 
 
 async def drive_for(
-    driver: VelocitySender, robot: str, velocity: PlanarVelocity, priority: int, *, for_s: float
+    driver: VelocitySender, robot: str, velocity: PlanarVelocity, priority: int, *, for_s: float, begin: Begin
 ) -> Motion:
     """Hold one velocity for a time.
 
@@ -254,7 +269,7 @@ async def drive_for(
     """
     now_s = asyncio.get_running_loop().time
     positive("for_s", for_s)
-    async with _Held(driver, robot, priority) as held:
+    async with _Held(driver, robot, priority, begin) as held:
         await held.drive(velocity)
         began_s = now_s()
         while (left_s := began_s + for_s - now_s()) > TIMER_S:
@@ -262,7 +277,7 @@ async def drive_for(
             if held.is_lost:
                 break
         if held.is_lost:
-            return await held.pop_end(now_s() - began_s)
+            return held.pop_end(now_s() - began_s)
     return Motion(MotionOutcome.REACHED, now_s() - began_s)
 
 
@@ -273,6 +288,7 @@ async def follow(
     course: Course,
     odometry: AsyncIterator[Odometry],
     on_progress: OnProgress | None,
+    begin: Begin,
 ) -> Motion:
     """Follow a course by odometry.
 
@@ -284,7 +300,7 @@ async def follow(
         async with asyncio.TaskGroup() as tasks:
             reading = tasks.create_task(_read(odometry, poses), name=f"odometry of {robot}")
             try:
-                async with _Held(driver, robot, priority) as held:
+                async with _Held(driver, robot, priority, begin) as held:
                     return await _follow(held, course, poses, on_progress)
             finally:
                 reading.cancel()
@@ -305,7 +321,7 @@ async def _follow(held: _Held, course: Course, poses: Mailbox[Odometry], on_prog
     now_s = asyncio.get_running_loop().time
     fix = await _first(poses)
     if held.is_lost:
-        return await held.pop_end(0.0)
+        return held.pop_end(0.0)
     began_s = now_s()
     pilot = CoursePilot(course, fix, began_s)
     commanded: PlanarVelocity | None = None
@@ -321,7 +337,7 @@ async def _follow(held: _Held, course: Course, poses: Mailbox[Odometry], on_prog
             while newer is None and pilot.outcome is None:
                 newer = await _newest(poses)
                 if held.is_lost:  # nothing is awaited between this and the next command
-                    ended = await held.pop_end(now_s() - began_s)
+                    ended = held.pop_end(now_s() - began_s)
                     return _ended(pilot, ended, now_s())
                 pilot.check(now_s(), is_silent=newer is None)
             if pilot.outcome is not None:

@@ -7,7 +7,7 @@ from urllib.parse import quote
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, measured
-from hostlink.client.motion import OnProgress, drive_for, follow, line, require_pose, turn
+from hostlink.client.motion import Begin, OnProgress, drive_for, follow, line, require_pose, turn
 from hostlink.client.views import Driven, Motion, Odometry, Refusal, RobotState
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
@@ -58,11 +58,20 @@ class Robot:
         *,
         for_s: None = None,
         keep: bool = False,
+        take_over: bool = False,
+        resume: bool = False,
     ) -> Driven: ...
 
     @overload
     async def drive(
-        self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, for_s: float
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        linear_y_m_s: float = 0.0,
+        *,
+        for_s: float,
+        take_over: bool = False,
+        resume: bool = False,
     ) -> Motion: ...
 
     @overload
@@ -74,6 +83,8 @@ class Robot:
         *,
         for_s: float | None,
         keep: bool = False,
+        take_over: bool = False,
+        resume: bool = False,
     ) -> Driven | Motion: ...
 
     async def drive(
@@ -84,6 +95,8 @@ class Robot:
         *,
         for_s: float | None = None,
         keep: bool = False,
+        take_over: bool = False,
+        resume: bool = False,
     ) -> Driven | Motion:
         """Drive until the next `drive` or `stop`, or until the connection's block is left; or for `for_s` seconds.
 
@@ -96,19 +109,26 @@ class Robot:
         earlier: a Motion whose `outcome` is `reached` or `stopped`. With `keep` the robot drives on without calls, and
         after the end of a notebook's cell, which else stops it.
 
+        Another source of the same priority keeps the robot until it lets go; with `take_over` this one takes it over.
+        Who was taken over must let go before it drives or takes over again.
+
         Raises:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, a source
-                with a higher priority drives it or it is locked, the numbers are not finite, it cannot move sideways,
-                there is no connection to hostlink. Also once after the velocity that was held before was dropped: by a
-                cut of the connection, by such a refusal, by a stop, because the robot's device connected again, this
-                program did not run, or could not send, for half a second, or made no call for `idle_timeout_s`. The
-                `drive()` after that one drives again.
-            CommandRefused: one of these, with `kind` for programs.
+                with a higher priority drives it, or one with the same priority and `take_over` is not given, it is
+                locked, the numbers are not finite, it cannot move sideways, there is no connection to hostlink. Also
+                after the velocity that was held before was dropped: by a cut of the connection, by such a refusal, by
+                a stop, because the robot's device connected again, this program did not run, or could not send, for
+                half a second, or made no call for `idle_timeout_s`. Then each `drive()` raises until the program lets
+                go: by `stop()`, a zero, or half a second without `drive()`; or until it says `resume`.
+            CommandRefused: one of these, with `kind` for programs. `holder` is who drives the robot, for `held`.
         """
         velocity = PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s)
         if for_s is None:
-            return await self._driver.drive(self.name, velocity, self.priority, is_kept=keep)
-        return await drive_for(self._driver, self.name, velocity, self.priority, for_s=for_s)
+            return await self._driver.drive(
+                self.name, velocity, self.priority, is_kept=keep, take_over=take_over, resume=resume
+            )
+        begin = Begin(take_over, resume)
+        return await drive_for(self._driver, self.name, velocity, self.priority, for_s=for_s, begin=begin)
 
     async def move(
         self,
@@ -117,21 +137,24 @@ class Robot:
         speed_m_s: float = 0.2,
         timeout_s: float | None = None,
         on_progress: OnProgress | None = None,
+        take_over: bool = False,
+        resume: bool = False,
     ) -> Motion:
         """Move along a line by odometry, and stop; negative `metres` lead backwards.
 
         It returns when the robot has stopped, or when something has stopped it earlier: `outcome` is `reached`,
         `blocked` (the odometry does not advance), `stopped` (with `kind`, `by` and `reason`) or `timed_out`. The robot
         is also stopped when it has no odometry for half a second, or leaves the line by 0.3 m. `on_progress` is called
-        with a Progress for each pose. `timeout_s` is by default 10 s and four times what the speed needs.
+        with a Progress for each pose. `timeout_s` is by default 10 s and four times what the speed needs. `take_over`
+        and `resume` are those of `drive`.
 
         Raises:
             HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose,
                 or a number is invalid.
         """
-        course = line(metres, speed_m_s, timeout_s)
+        course, begin = line(metres, speed_m_s, timeout_s), Begin(take_over, resume)
         require_pose(await self.state())
-        return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress)
+        return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress, begin)
 
     async def turn(
         self,
@@ -140,6 +163,8 @@ class Robot:
         speed_rad_s: float = 0.8,
         timeout_s: float | None = None,
         on_progress: OnProgress | None = None,
+        take_over: bool = False,
+        resume: bool = False,
     ) -> Motion:
         """Turn on the spot by odometry, and stop; counter-clockwise is positive. It ends as `move` does.
 
@@ -147,9 +172,9 @@ class Robot:
             HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose,
                 or a number is invalid.
         """
-        course = turn(radians, speed_rad_s, timeout_s)
+        course, begin = turn(radians, speed_rad_s, timeout_s), Begin(take_over, resume)
         require_pose(await self.state())
-        return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress)
+        return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress, begin)
 
     async def command(
         self,
@@ -159,6 +184,7 @@ class Robot:
         *,
         epoch: int | None = None,
         is_planar: bool = True,
+        take_over: bool = False,
     ) -> None:
         """Send one velocity, which lasts for half a second and is not repeated: for programs that decide each time.
 
@@ -166,13 +192,16 @@ class Robot:
         a stop, a lock or a reconnection of the device the motion is refused, until a zero or half a second without
         commands ends it. A command that the network delivers too late is refused, too. `epoch` is the robot's, as in
         `state()`, when the decision was made: after an interruption since then the command is refused. `is_planar` is
-        False for a Twist with other components that are not zero: no robot obeys it, and it is refused.
+        False for a Twist with other components that are not zero: no robot obeys it, and it is refused. `take_over`
+        is that of `drive`.
 
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection to hostlink.
         """
         velocity = PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s)
-        await self._driver.command(self.name, velocity, self.priority, epoch=epoch, is_planar=is_planar)
+        await self._driver.command(
+            self.name, velocity, self.priority, epoch=epoch, is_planar=is_planar, take_over=take_over
+        )
 
     @property
     def refusal(self) -> Refusal | None:

@@ -86,20 +86,29 @@ def newest(arrivals: Iterable[Arrival]) -> list[Arrival]:
 
 
 def daemon_findings(
-    ports: Iterable[Finding], refused: Sequence[Arrival], *, is_connected: bool, listening: str
+    ports: Iterable[Finding],
+    refused: Sequence[Arrival],
+    own: Iterable[Finding] = (),
+    *,
+    is_connected: bool,
+    listening: str,
 ) -> list[Finding]:
     """Return the findings that belong to no link.
 
-    `ports`: of serial ports that cannot be opened. `refused`: of the last minute. `is_connected`: whether a device is
-    connected or was in the last minute. `listening`: where the daemon listens.
+    `ports`: of serial ports that cannot be opened. `refused`: of the last minute. `own`: of the daemon's own parts.
+    `is_connected`: whether a device is connected or was in the last minute. `listening`: where the daemon listens.
     """
-    found = list(ports)
-    if found or is_connected:
-        return found
+    devices = list(ports)
+    if not devices and not is_connected:
+        devices = [_no_device(refused, listening)]
+    return [*devices, *own]
+
+
+def _no_device(refused: Sequence[Arrival], listening: str) -> Finding:
     counts: Counter[str] = Counter()
     for each in refused:
         if each.cause != NOT_ROSSERIAL:  # of programs, not of devices
             counts[each.cause] += each.count
     if not counts:
-        return [finding("no_device", listening)]
-    return [finding("not_let_in", ", ".join(f"{cause} {count}" for cause, count in counts.items()))]
+        return finding("no_device", listening)
+    return finding("not_let_in", ", ".join(f"{cause} {count}" for cause, count in counts.items()))

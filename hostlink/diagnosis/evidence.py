@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hostlink.diagnosis.finding import Finding, finding
+from hostlink.diagnosis.motion_monitor import NO_MOTION, MotionEvidence
 
 # -- host clock -------------------------------------------------------------------------------------------------------
 
@@ -134,4 +135,5 @@ class Evidence:
     earlier: tuple[EarlierLink, ...] = ()
     end: str | None = None  # reason of the link's end
     host_clock: str = ""  # what is wrong with this computer's clock
+    motion: MotionEvidence = NO_MOTION  # of the messages that tell how the robot moves
     noted: Mapping[str, str] = field(default_factory=dict)  # what only the hub knows: details by code of their finding

@@ -16,6 +16,7 @@ from hostlink.diagnosis.evidence import (
     Evidence,
     Tally,
 )
+from hostlink.diagnosis.motion_monitor import MotionMonitor
 from hostlink.host_pauses import HostPauses
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
@@ -83,13 +84,14 @@ class LinkMonitor:
         "_is_fresh", "_is_provoked", "_least_bytes", "_negotiated_at_s", "_opened_at_s", "_previous_at_s",
         "_revived_at_s", "_samples",
         "_session", "_signal", "_stamps_behind_s", "_time_requested_at_s", "_unknown_before", "_was_host_away", "baud",
-        "firmware", "sharing",
+        "firmware", "motion", "sharing",
     )  # fmt: skip
 
     def __init__(self, session: Session, *, now_s: float, least_bytes: Callable[[str], int] = unknown_size) -> None:
         """`least_bytes` returns the size of the smallest message of a type; 0 if the type is unknown."""
         self._least_bytes = least_bytes
         self.baud: int | None = None  # of a serial port
+        self.motion = MotionMonitor()  # of the robot's odometry
         self.sharing = UNSHARED  # of a serial port
         self._session = session
         self._opened_at_s = now_s
@@ -147,6 +149,7 @@ class LinkMonitor:
         """Sample the counts. Recent counts are a difference to the samples."""
         if now_s >= self._samples.newest_s + SAMPLE_INTERVAL_S / 2:
             self._samples.add(now_s, self._total())
+            self.motion.sample(now_s)
             offset_ns = self._session.device_clock.offset_ns
             if offset_ns is not None:
                 self._stamps_behind_s.append(offset_ns / 1e9)
@@ -227,6 +230,7 @@ class LinkMonitor:
             earlier=earlier,
             end=end,
             host_clock=host_clock,
+            motion=self.motion.evidence(now_s),
             noted={} if noted is None else noted,
         )
 

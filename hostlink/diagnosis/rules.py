@@ -7,8 +7,9 @@ detail.
 from collections.abc import Callable
 from statistics import median
 
-from hostlink.diagnosis.evidence import Evidence
+from hostlink.diagnosis.evidence import RECENT_S, Evidence
 from hostlink.diagnosis.finding import Finding, finding, words
+from hostlink.diagnosis.motion_monitor import NO_POSE
 from hostlink.diagnosis.speed import guess_speed
 
 TIME_REQUEST_S = 2.5  # docs/protocol.md#time: time request interval of a configured device
@@ -36,6 +37,14 @@ CRYSTAL_ERROR = 0.03  # of the interval, with a turn of the device's loop
 CLOCK_INTERVALS = 3  # the median of three tolerates one outlier
 WHEEL_S = 600.0  # a wheel shows its fault only while it is driven, and a person may be repairing it
 WEAK_DBM = -80  # same limit as firmware/esp8266: below it packets are lost and sent again
+FLAWED = 3  # messages: one may be damage that the checksum let pass
+MOST = 0.5  # of the messages: before the first time answer a device has no time
+JUMPS = 2  # in RECENT_S; one is a reset by the device itself
+UNSENT_S = 15.0  # the slowest odometry is sent every second, and the first after some time answers
+FULL = 0.95  # of the line's bytes: messages then wait in the device, or are left out
+BITS_A_BYTE = 10  # with start and stop bit
+ANOTHER_CLOCK_S = 1e6  # 12 days: no clock of a device is so wrong, but a count of seconds since its start
+SECONDS_A_DAY = 86_400
 BOOT_WORDS = (b"ets Jan", b"ets Jun", b"rst cause", b"rst:0x", b"boot mode", b"boot:0x", b"Brownout")
 EXCERPT_CHARS = 40
 
@@ -192,7 +201,7 @@ def _clock_trouble(evidence: Evidence) -> str | None:
     if evidence.host_clock:
         return f"this computer: {evidence.host_clock}"
     behind_s = evidence.stamps_behind_s
-    if behind_s is not None and abs(behind_s) >= STAMPS_BEHIND_S:
+    if behind_s is not None and STAMPS_BEHIND_S <= abs(behind_s) < ANOTHER_CLOCK_S:
         return f"its stamps are {abs(behind_s):.1f} s {'behind' if behind_s > 0 else 'ahead'}"
     if len(evidence.time_intervals_s) < CLOCK_INTERVALS:
         return None
@@ -209,6 +218,82 @@ def _is_fast(interval_s: float) -> bool:
     return is_inexact or any(abs(rate / crystal - 1) < CRYSTAL_ERROR for crystal in CRYSTAL_RATES)
 
 
+# -- what the robot says of its motion --------------------------------------------------------------------------------
+
+
+def _on(evidence: Evidence, text: str) -> str:
+    return f"{text} of {evidence.motion.messages} messages on {evidence.motion.topic}"
+
+
+def _flawed(evidence: Evidence, flaw: str, text: str) -> str | None:
+    """Return the detail of a flaw that most messages have: a single one is damage that the checksum let pass."""
+    count = evidence.motion.counts.get(flaw, 0)
+    return _on(evidence, f"{count} {text}") if count >= FLAWED and evidence.motion.share(flaw) >= MOST else None
+
+
+def _bad_pose(evidence: Evidence) -> str | None:
+    count = evidence.motion.counts.get("not_finite", 0)
+    return _on(evidence, f"{count} {NO_POSE['not_finite']}") if count >= FLAWED else None
+
+
+def _bad_quaternion(evidence: Evidence) -> str | None:
+    if _heading_in_z(evidence) is not None:  # at a heading of 0 all four numbers are zeros
+        return None
+    for flaw in ("zero_quaternion", "bad_quaternion"):
+        if (detail := _flawed(evidence, flaw, NO_POSE[flaw])) is not None:
+            return detail
+    return None
+
+
+def _heading_in_z(evidence: Evidence) -> str | None:
+    count = evidence.motion.counts.get("heading_in_z", 0)
+    return _on(evidence, f"{count} {NO_POSE['heading_in_z']}") if count >= FLAWED else None
+
+
+def _slash_frame(evidence: Evidence) -> str | None:
+    found = _flawed(evidence, "slash_frame", "frames with a slash")
+    return found and f'"{_excerpt(evidence.motion.frame_id.encode())}"; {found}'
+
+
+def _zero_covariance(evidence: Evidence) -> str | None:
+    return _flawed(evidence, "zero_covariance", "covariances of zeros")
+
+
+def _bad_stamp(evidence: Evidence) -> str | None:
+    behind_s = evidence.stamps_behind_s
+    if behind_s is not None and abs(behind_s) >= ANOTHER_CLOCK_S and not evidence.host_clock:
+        return f"its stamps are {abs(behind_s) / SECONDS_A_DAY:.0f} days {'behind' if behind_s > 0 else 'ahead'}"
+    return _flawed(evidence, "zero_stamp", "stamps of 0")
+
+
+def _line_full(evidence: Evidence) -> str | None:
+    """Detect a UART that has no time left. A faster one is a USB port, whose baud rate means nothing."""
+    if evidence.baud is None or evidence.age_s < RECENT_S + JUDGED_S or evidence.silent_s > 1:
+        return None
+    bytes_s, most_bytes_s = evidence.recent.bytes_from_device / RECENT_S, evidence.baud / BITS_A_BYTE
+    if not FULL <= bytes_s / most_bytes_s <= 1 / FULL:
+        return None
+    motion = evidence.motion
+    rate = f"; {motion.topic} has {motion.messages / RECENT_S:.1f} messages/s" if motion.messages else ""
+    return f"{bytes_s:.0f} of {most_bytes_s:.0f} bytes/s at {evidence.baud} baud{rate}"
+
+
+def _odometry_jumps(evidence: Evidence) -> str | None:
+    count = evidence.motion.jumps
+    return _on(evidence, f"{count} leaps") if count >= JUMPS else None
+
+
+def _odometry_disagrees(evidence: Evidence) -> str | None:
+    return evidence.motion.disagreement or None
+
+
+def _odometry_unsent(evidence: Evidence) -> str | None:
+    motion, negotiated_s = evidence.motion, evidence.negotiated_s
+    if not motion.topic or motion.total or negotiated_s is None or evidence.silent_s >= WENT_SILENT_S:
+        return None
+    return f"nothing on {motion.topic} for {negotiated_s:.0f} s" if negotiated_s >= UNSENT_S else None
+
+
 _ENDS = {"refused": "too_many_robots", "crashed": "host_fault", "unanswerable": "unanswerable"}  # of the link
 _RULES: dict[str, Rule] = {
     "serial_shared": _serial_shared,
@@ -223,4 +308,14 @@ _RULES: dict[str, Rule] = {
     "time_stopped": _time_stopped,
     "weak_signal": _weak_signal,
     "clock_trouble": _clock_trouble,
+    "bad_pose": _bad_pose,
+    "heading_in_z": _heading_in_z,
+    "bad_quaternion": _bad_quaternion,
+    "line_full": _line_full,
+    "odometry_unsent": _odometry_unsent,
+    "odometry_jumps": _odometry_jumps,
+    "odometry_disagrees": _odometry_disagrees,
+    "bad_stamp": _bad_stamp,
+    "slash_frame": _slash_frame,
+    "zero_covariance": _zero_covariance,
 }

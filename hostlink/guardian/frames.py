@@ -6,6 +6,7 @@ The daemon makes the frames. No byte of a frame is chosen here, except the 00 be
 ZEROS = 3  # as many as the daemon sends on shutdown: a radio may lose one
 INTERVAL_S = 0.05
 SEPARATOR = b"\0"  # ignored between frames; without it, a frame that ends with FF would hide the next sync
+LEAD = bytes(3)  # length and checksum of a header after the sync. A sync there could give it a length of 65 kB
 UNLIMITED = 1 << 32
 
 
@@ -20,7 +21,8 @@ def stop_sequence(
 
     The daemon may have ended in the middle of a frame. The device takes the next bytes for the rest of that frame. The
     zeros are therefore repeated over the length of any frame: wherever the frame ends or is given up, the next zero of
-    each endpoint is whole.
+    each endpoint is whole. `LEAD` completes a header that was cut inside its length: it is rejected, or its frame is at
+    most as long as it was.
 
     | the device                                              | obeys                                                  |
     |---------------------------------------------------------|--------------------------------------------------------|
@@ -37,7 +39,7 @@ def stop_sequence(
     if claim_bytes:
         zero = SEPARATOR.join(zeros)
         again = SEPARATOR + zero
-        first = [zero + again * (1 + -(-claim_bytes // len(again)))]
+        first = [LEAD + zero + again * (1 + -(-claim_bytes // len(again)))]
     turns = [first, *[once] * (ZEROS - 1), [end] if end else []]
     return [(number * INTERVAL_S, part) for number, parts in enumerate(turns) for part in parts]
 

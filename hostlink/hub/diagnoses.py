@@ -12,7 +12,7 @@ import structlog
 
 from hostlink.diagnosis.arrivals import RECENT_S, Arrival, RefusedLately, connection_text, daemon_findings, newest
 from hostlink.diagnosis.evidence import EarlierLink, Evidence, HostClock, PortSharing, port_finding
-from hostlink.diagnosis.finding import Finding, words
+from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
 from hostlink.host_pauses import HostPauses
@@ -129,6 +129,7 @@ class Diagnoses:
         self._host_clock = ""
         self._lines = RateLimit(1 / LOG_AGAIN_S, burst=1)  # of each address and code
         self.ports: dict[str, Finding] = {}  # serial ports that cannot be opened
+        self.own: dict[str, Finding] = {}  # of the daemon's own parts, by their names
         self.refused = RefusedLately()
 
     def observe_port(self, name: str, error: OSError | None) -> None:
@@ -137,6 +138,14 @@ class Diagnoses:
             self.ports.pop(name, None)
         else:
             self.ports[name] = port_finding(error)
+
+    def observe_own(self, part: str, code: str = "", detail: str = "") -> None:
+        """Note what is wrong with a part of the daemon, by the code of its finding; empty: nothing. News are logged."""
+        known = self.own.pop(part, None)
+        if code:
+            found = self.own[part] = finding(code, detail)
+            if known is None or known.code != code:
+                log.warning("daemon.diagnosed", part=part, **dataclasses.asdict(found))
 
     def begin(self, link: Link) -> Diagnosis:
         """Create the diagnosis of a new link."""
@@ -203,7 +212,8 @@ class Diagnoses:
         now_s = loop_time_s()
         is_connected = bool(self._live) or any(now_s - each.ended_at_s < RECENT_S for each in self.ended)
         refused = self.refused.recent(now_s)
-        return daemon_findings(self.ports.values(), refused, is_connected=is_connected, listening=listening)
+        ports, own = self.ports.values(), self.own.values()
+        return daemon_findings(ports, refused, own, is_connected=is_connected, listening=listening)
 
     def numbers(self) -> list[int]:
         """Return the numbers of all links that have a diagnosis."""

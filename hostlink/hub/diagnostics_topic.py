@@ -40,7 +40,8 @@ class Level(IntEnum):
 WARNINGS = frozenset(  # the device works in spite of these; every other finding is an error
     {
         "boot_noise", "wrong_size", "buffer_too_small", "unknown_ids", "battery_low", "watchdog_restart", "weak_signal",
-        "clock_trouble", "damaged", "flashed_alike", "not_let_in",
+        "clock_trouble", "damaged", "flashed_alike", "not_let_in", "odometry_jumps", "odometry_disagrees", "bad_stamp",
+        "slash_frame", "zero_covariance", "odometry_unsent", "line_full",
     }
 )  # fmt: skip
 
@@ -73,9 +74,9 @@ def absent_status(robot: LocalRobot, last: Diagnosis | None, now_s: float) -> St
     return _status(f"{robot.name} link", level, message, address, {"locked": robot.gate.lock_reason or "no"})
 
 
-def port_status(name: str, found: Finding) -> Status:
-    """Build the status of a serial port that cannot be opened."""
-    return _status(f"port {name}", Level.ERROR, _line(found), name, {"next step": found.next_step})
+def finding_status(name: str, hardware_id: str, found: Finding) -> Status:
+    """Build the status of a serial port that cannot be opened, or of a part of the daemon."""
+    return _status(name, Level.ERROR, _line(found), hardware_id, {"next step": found.next_step})
 
 
 def _connected(name: str, diagnosis: Diagnosis, figures: Mapping[str, str], remark: str) -> Status:
@@ -163,7 +164,7 @@ class DiagnosticsTopic:
         return {**status, "name": f"{self._node}: {status['name']}"}
 
     def _makers(self) -> Iterator[Callable[[], Status]]:
-        """Yield a function for each status: the daemon's first, then robots by name, other devices, ports."""
+        """Yield a function for each status: the daemon, robots by name, other devices, ports, parts of the daemon."""
         yield self._daemon
         diagnoses, robots, now_s = self._hub.diagnoses, self._hub.robots, loop_time_s()
         absent: dict[str, Diagnosis] = {each.robot: each for each in diagnoses.ended if each.robot}
@@ -181,7 +182,9 @@ class DiagnosticsTopic:
                 taken.add(name)
                 yield partial(_connected, name, diagnosis, {}, "")
         for port, found in list(diagnoses.ports.items()):
-            yield partial(port_status, port, found)
+            yield partial(finding_status, f"port {port}", port, found)
+        for part, found in list(diagnoses.own.items()):
+            yield partial(finding_status, part, "", found)
 
     def _daemon(self) -> Status:
         hub = self._hub

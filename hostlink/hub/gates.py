@@ -177,7 +177,7 @@ class Echo(NamedTuple):
 
 @dataclass(eq=False, kw_only=True)
 class Drivable(VelocityTarget):
-    """What drives a device, with its gate, which is the only subscriber of its topics in the graph.
+    """Command topics of a device, with their gate, which is their only subscriber in the graph.
 
     It belongs to a robot, or is a velocity topic that the settings exclude from robots.
     """
@@ -381,7 +381,7 @@ class Gates:
             raise
         connection = drivable.connection
         if connection is not None and len(connection.drivables) > 1 and not velocity.is_zero:
-            self._overrule(connection.drivables, drivable, owner, command.priority)
+            self._overrule(connection.drivables, drivable)
         self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
         return limited
 
@@ -422,13 +422,14 @@ class Gates:
             for drivable in [each for each in self._active if each.gate.may_move]:
                 self._step(drivable, now_s)  # its zero replaces a velocity that is not written yet
 
-    def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
-        """Stop velocity topics of the robot that a source of lower priority drives. Its next command is refused."""
+    def _overrule(self, beside: list[Drivable], drivable: Drivable) -> None:
+        """Stop the other velocity topics of the robot whose leases the newest command has ended."""
         now_s = loop_time_s()
         for other in beside:
             gate = other.gate
-            is_other = gate is not drivable.gate and gate.admission is drivable.gate.admission
-            if is_other and gate.owner != owner and gate.priority is not None and gate.priority < priority:
+            if gate is drivable.gate or gate.admission is not drivable.gate.admission or gate.driver is None:
+                continue
+            if now_s < gate.driver.deadline_s and gate.admission.driver(gate, now_s) is None:
                 self._note_stop(other, OVERRULED, str(gate.owner_name))
                 gate.stop(now_s=now_s)
                 self._step(other, now_s, is_news=True)
@@ -680,7 +681,8 @@ class Gates:
     def _guard(self, drivable: Drivable, connection: "Device") -> None:
         """Give link and guardian the frames that stop the device when this process cannot."""
         link, stops = connection.link, connection.stop_frames
-        for info, zero in zip(drivable.endpoints, drivable.zeros, strict=True):
+        # Without a stamp: that of now would be old by then.
+        for info, zero in zip(drivable.endpoints, drivable.commands.encode(ZERO), strict=True):
             if info is not None:
                 frame = encode(info.topic_id, zero)
                 link.last_frame += frame
@@ -690,5 +692,9 @@ class Gates:
         if self._guardian is not None and stops:
             claim_bytes = link.session.longest_to_device_bytes
             self._guardian.watch(
-                link.number, link.descriptor, zeros=tuple(stops), end=STOP_REQUEST, claim_bytes=claim_bytes
+                link.number,
+                link.descriptor,
+                zeros=tuple(stops[:MAX_GUARDED]),
+                end=STOP_REQUEST,
+                claim_bytes=claim_bytes,
             )

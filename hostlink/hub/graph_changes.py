@@ -1,9 +1,10 @@
 """GraphChanges: log of changes of topics, services and robots, and the watchers that are notified of them."""
 
 import asyncio
-import time
 from collections.abc import Callable, Hashable
 from enum import Enum
+
+from hostlink.loop_time import loop_time_s
 
 NOTIFY_AFTER_S = 0.05  # a device that connects changes twenty topics, which are one notification
 SHARE = 0.1  # of the loop for all watchers: expensive ones are called less often
@@ -22,8 +23,8 @@ class GraphKind(Enum):
 class GraphChanges:
     """Log of changes. Watchers are called soon after a change, once for several, each in a turn of its own."""
 
-    def __init__(self, computed_s: Callable[[], float] = time.thread_time) -> None:
-        """`computed_s` returns the thread's CPU time, without the time for which it waited for a core."""
+    def __init__(self, computed_s: Callable[[], float] = loop_time_s) -> None:
+        """`computed_s` returns for how long this thread has computed so far: the difference is what a watcher costs."""
         self._computed_s = computed_s
         self.version = 0  # grows with each change
         self._kept: dict[tuple[GraphKind, str], int] = {}  # version of each name's last change, oldest first

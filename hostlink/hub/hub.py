@@ -32,6 +32,7 @@ from hostlink.hub.standstills import LockServices, Standstills
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.logs import log_what_is_missing
+from hostlink.loop_time import loop_time_s
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.names import Places
 
@@ -77,15 +78,20 @@ class Hub:
         reraises: bool = False,
         guard: Guard | None = None,
         slept_s: Callable[[], float] = lambda: 0.0,
+        computed_s: Callable[[], float] = loop_time_s,
     ) -> None:
-        """`slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out."""
+        """Connect nothing yet.
+
+        `slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out.
+        `computed_s` returns the CPU time of the event loop's thread, without the time for which it waited for a core.
+        """
         self.config, self.catalog = config, catalog
         self.is_running = asyncio.Event()  # `spawn` works when it is set
         self.counts = Counts()
         self.listening = Listening()  # set by the listeners
         self.parameters = dict(config.parameters)  # parameters for devices; clients may change them
         self.isolation = Isolation(reraises=reraises)
-        self.changes = GraphChanges()
+        self.changes = GraphChanges(computed_s)
         self.budget = ByteBudget()
         self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes the topics of robots that have names of ROS
         self.topics = TopicGraph(catalog, self.changes, self.budget)
@@ -94,6 +100,7 @@ class Hub:
             WeakValueDictionary()
         )  # by group, while participants use them
         self.events = RobotEvents()
+        self.slept_s = slept_s
         self.gates = Gates(self.isolation, guard, self.events, slept_s=slept_s)
         self.share = FairShare(self.gates.came_s)  # of the event loop, for links and participants
         self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses, catalog.least_bytes, slept_s)

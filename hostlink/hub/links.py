@@ -25,7 +25,7 @@ from hostlink.logs import of_peer, printable
 from hostlink.protocol import events
 from hostlink.protocol.session import Session
 from hostlink.robot.model import CommandSettings, RobotTopicNames, namespace_of
-from hostlink.robot.names import Accepted, Directory, Origin, Places, Undecided
+from hostlink.robot.names import Accepted, Directory, Origin, Places, Remembered, Undecided
 from hostlink.transport.base import Transport
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ class Links:
         self.wall_ns: Callable[[], int] = time.time_ns  # time in answers to devices
         self.undelivered = 0  # dropped messages of devices that were not identified yet
         self.late_answers = 0  # answers of devices' services after the timeout of the call
+        self.on_named: Callable[[], None] = lambda: None  # called when a robot has its name
         self._hub, self._devices = hub, hub.robots.devices
         self._directory = Directory(addresses_of(hub.config), commands_by_name(hub.config))
         self._ends = hub.turns()
@@ -214,6 +215,15 @@ class Links:
 
     # -- which robot a device is --------------------------------------------------------------------------------------
 
+    @property
+    def remembered(self) -> dict[str, Remembered]:
+        """Names like robot_0 and their owners, for the next start of the daemon."""
+        return dict(self._directory.remembered)
+
+    def remember(self, remembered: Mapping[str, Remembered]) -> None:
+        """Remember owners of names from before this start."""
+        self._directory.remember(remembered)
+
     def forget_robot(self, robot: LocalRobot) -> None:
         """Forget a robot that has been disconnected for long."""
         self._directory.forget(robot.name)
@@ -334,6 +344,7 @@ class Links:
             changed.append(robot)
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
+        self.on_named()
         self._log_unguarded(device)
         device.is_undecided = False
         for message, read in device.early.pop_all():

@@ -294,11 +294,13 @@ class Participant(Node):
         sent_s: float | None = None,
         epoch: int | None = None,
         is_planar: bool = True,
+        take_over: bool = False,
         reason: str = "",
     ) -> PlanarVelocity:
         """Drive for the length of a lease. Return the velocity after the limits.
 
-        `received_s`, `sent_s`, `epoch` and `is_planar` are those of a `Command`; `received_s` is now if it is None.
+        `received_s`, `sent_s`, `epoch`, `is_planar` and `take_over` are those of a `Command`; `received_s` is now if it
+        is None.
         `reason` of a zero: why this participant drives no more.
 
         Raises:
@@ -316,6 +318,7 @@ class Participant(Node):
             sent_s,
             epoch,
             is_planar=is_planar,
+            take_over=take_over,
         )
         deliveries = self._hub.topics.deliveries
         senders = deliveries.begin_sending(self)

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple, Protocol
 import msgspec
 import structlog
 
-from hostlink.config import CalibrationConfig, RobotConfig, WheelsConfig
-from hostlink.errors import BadPayload, CommandRefused, ConfigError, DeviceGone, HostlinkError
+from hostlink.config import CalibrationConfig, FeedbackConfig, RobotConfig, WheelsConfig
+from hostlink.diagnosis.motion_monitor import RECENT_S, Speed
+from hostlink.errors import BadPayload, CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
 from hostlink.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node, address_of
@@ -43,6 +44,7 @@ from hostlink.robot.kinematics import AckermannDrive, Drive, drive_of
 from hostlink.robot.model import CommandKind, CommandSettings, RobotTopicNames
 from hostlink.robot.names import SURE_S
 from hostlink.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, aged_rate_hz
+from hostlink.robot.readings import OdometryReading
 from hostlink.robot.ros_messages import FrameIds
 from hostlink.robot.standstill import NO_ODOMETRY, OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
@@ -73,6 +75,8 @@ def of_namesake(config: RobotConfig | None) -> RobotConfig:
         cmd_vel_stamped_topic=None,
         odom_frame=None,
         base_frame=None,
+        encoders=None,
+        feedback=FeedbackConfig(),
         calibration=CalibrationConfig(),
     )
 
@@ -136,7 +140,7 @@ def command_settings(config: RobotConfig) -> CommandSettings:
         topics = (config.command_topic,)
     is_spatial = config.kinematics == "spatial"
     ignored, locked = frozenset(config.not_commands), frozenset(config.locked_topics)
-    return CommandSettings(kind, topics, config.odometry_topic, ignored, locked, is_spatial)
+    return CommandSettings(kind, topics, config.feedback.topic, ignored, locked, is_spatial)
 
 
 def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[WheelScale]:
@@ -170,7 +174,7 @@ def feedback_of(topics: RobotTopicNames, sent: Iterable[TopicType], config: Robo
     encoders = None
     if config.encoders is not None:
         fields = dataclasses.asdict(config.encoders)
-        encoders = WheelSettings(**fields, wheel_radius_m=config.wheel_radius_m)
+        encoders = WheelSettings(**fields | {"wheel_radius_m": fields["wheel_radius_m"] or config.wheel_radius_m})
     settings = FeedbackSettings(topic=topics.odometry or "", encoders=encoders)
     return Feedback(sent, settings, drive_in(config, topics.commands))
 
@@ -437,11 +441,18 @@ class LocalRobot(Drivable, AnyRobot):
         if not self.feedback.topics:
             cause = self.refusals.cause
             return NO_ODOMETRY if cause is None else f"its device cannot receive the stop: {cause}"
+        flawed = self.flawed_poses(loop_time_s())
+        if flawed:
+            return f"it sent {flawed} in the last {RECENT_S:.0f} s"
         if self.odometry.count == 0:
             return "it sends no odometry"
         if link.silent_s > OLD_S:
             return f"nothing has come from its device for {link.silent_s:.1f} s"
         return "no odometry has come since the stop"
+
+    def flawed_poses(self, now_s: float) -> str:
+        """Return what is wrong with the poses of the last half minute, such as "10 poses with NaN"; empty: nothing."""
+        return "" if self.connection is None else self.connection.diagnosis.monitor.motion.evidence(now_s).without_pose
 
     def receive_feedback(self, topic: str, message: Message) -> None:
         """Receive a message of a topic of its feedback, by the device's name of it.
@@ -451,7 +462,8 @@ class LocalRobot(Drivable, AnyRobot):
         link = None if self.connection is None else self.connection.link
         if message.source is not link or (topic, message.type_name) not in self.feedback.topics:
             return
-        count = self.odometry.count
+        odometry = self.odometry
+        count, ignored, restarts = odometry.count, odometry.ignored, odometry.restarts
         try:
             reading = self.feedback.read(topic, message.payload, now_s=message.at_s)
         except BadPayload as error:
@@ -463,7 +475,7 @@ class LocalRobot(Drivable, AnyRobot):
         stamp_ns = message.stamp_ns
         if reading.stamp_ns is not None and link is not None:  # by the device's clock
             stamp_ns = link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
-        self.odometry.update(
+        odometry.update(
             reading.pose,
             now_s=message.at_s,
             wall_ns=stamp_ns,
@@ -471,9 +483,25 @@ class LocalRobot(Drivable, AnyRobot):
             is_stamped=bool(reading.stamp_ns),
             is_moving=reading.is_moving,
         )
-        if self.odometry.count > count:
+        is_jump = not reading.is_empty and (odometry.ignored, odometry.restarts) != (ignored, restarts)
+        self._judge(reading, message.at_s, is_jump=is_jump)
+        if odometry.count > count:
             for follow in tuple(self.followers.values()):  # one may leave meanwhile
                 follow(message)
+
+    def _judge(self, reading: OdometryReading, now_s: float, *, is_jump: bool = False) -> None:
+        """Let the diagnosis of the link judge a reading, also against the velocity that the device was sent."""
+        if self.connection is None:
+            return
+        monitor = self.connection.diagnosis.monitor.motion
+        monitor.observe(reading.flaws, now_s, frame_id=reading.frame_id, is_jump=is_jump)
+        commanded = self.gate.current
+        measured = None if commanded.is_zero else self.odometry.snapshot(now_s)
+        if measured is not None and measured.twist is not None:
+            twist = measured.twist
+            monitor.compare(Speed(commanded.x_m_s, commanded.yaw_rad_s), Speed(twist.x_m_s, twist.yaw_rad_s), now_s)
+        elif commanded.is_zero:
+            monitor.compare(Speed(), Speed(), now_s)
 
     def receive_battery(self, payload: bytes) -> None:
         """Receive a message of the battery's topic."""
@@ -487,9 +515,20 @@ class RobotHosts(RemoteHosts, Protocol):
     """Interface to the daemons of remote robots."""
 
     def drive(
-        self, robot: "RemoteRobot", velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
+        self,
+        robot: "RemoteRobot",
+        velocity: PlanarVelocity,
+        *,
+        owner: Hashable,
+        priority: int,
+        received_s: float,
+        epoch: int | None,
+        take_over: bool,
     ) -> None:
-        """Send a command of a source. Its refusal is raised by the next command, or by `answer`."""
+        """Send a command of a source, which lasts for a lease from `received_s` on.
+
+        Its refusal is raised by the next command, or by `answer`.
+        """
         ...
 
     def answer(self, robot: "RemoteRobot", owner: Hashable) -> Awaitable[PlanarVelocity]:
@@ -584,10 +623,20 @@ class RemoteRobot(AnyRobot):
         command = self.gates.timed(self.name, command, loop_time_s())
         self._check_unique()
         decision = self.admission.decide(command, loop_time_s())
+        is_zero = command.velocity.is_zero and command.is_planar
+        if decision.is_admitted or (is_zero and decision.kind is RefusalKind.HELD):  # it lets go there, too
+            lease = None if command.velocity.is_zero else self.admission.driver("", loop_time_s())
+            self.hosts.drive(
+                self,
+                command.velocity,
+                owner=command.source,
+                priority=command.priority,
+                received_s=command.received_s if lease is None else lease.deadline_s - self.admission.lease_s,
+                epoch=None if command.epoch is None else self._epoch,
+                take_over=command.take_over,
+            )
         if decision.kind is not None:
             raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder, by=decision.by)
-        epoch = None if command.epoch is None else self._epoch
-        self.hosts.drive(self, command.velocity, owner=command.source, priority=command.priority, epoch=epoch)
         return command.velocity
 
     def answer(self, owner: Hashable) -> Awaitable[PlanarVelocity]:

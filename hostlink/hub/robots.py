@@ -331,6 +331,7 @@ class Robots:
         _configure(robot)  # its drive follows from its command
         robot.battery = None
         device.robot = robot
+        device.diagnosis.monitor.motion.topic = topics.odometry or ""
         self._away.remove(name)
         self._gates.attach(robot, device)
         self._hub.note_robot(name)

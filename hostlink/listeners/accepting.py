@@ -311,19 +311,26 @@ RETRY_S = 1.0  # interval of the search for a removed port
 SHARING_S = 5.0  # interval of the search for other programs at a port, which reads some thousand links of /proc
 
 
-async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S) -> None:
-    """Serve the serial port until cancelled. Open it again after `retry_s` when it fails."""
+async def serve_serial(
+    hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S, on_tried: Callable[[], None] = lambda: None
+) -> None:
+    """Serve the serial port until cancelled. Open it again after `retry_s` when it fails.
+
+    `on_tried` is called each time after the port was opened, or could not be opened.
+    """
     logged = ""
     while True:
         with hub.isolation.around("task", task=f"serial port {config.name}"):
-            reason = await _serve_once(hub, config)
+            reason = await _serve_once(hub, config, on_tried)
             if reason and reason != logged:
-                log.warning("serial.waiting", port=config.name, reason=reason)
+                found = hub.diagnoses.ports[config.name]
+                log.warning("serial.waiting", port=config.name, reason=reason, next_step=found.next_step)
             logged = reason
+            on_tried()
         await asyncio.sleep(retry_s)
 
 
-async def _serve_once(hub: Hub, config: SerialConfig) -> str:
+async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None]) -> str:
     """Serve the port to the end of its link. Return the reason when it cannot be opened."""
     try:
         transport = await open_serial(config)
@@ -331,6 +338,7 @@ async def _serve_once(hub: Hub, config: SerialConfig) -> str:
         hub.diagnoses.observe_port(config.name, error)
         return error.strerror or str(error)
     hub.diagnoses.observe_port(config.name, None)
+    on_open()
     link = hub.links.open(transport, _link_config(hub, config))
     hub.diagnoses.observe_baud(link, config.bauds[0])
     async with asyncio.TaskGroup() as tasks:

@@ -6,6 +6,7 @@ import functools
 import hashlib
 import itertools
 import os
+import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable
@@ -108,7 +109,8 @@ class BlackBox:
             log.warning("incident.postponed", count=len(self._unsaved))
             self._memory.release()
             try:
-                start_python(["-c", remains.SALVAGE, str(_ROOT), str(os.getpid())])
+                salvage = start_python(["-c", remains.SALVAGE, str(_ROOT), str(os.getpid())])
+                threading.Thread(target=salvage.wait, name="salvage", daemon=True).start()  # leaves no zombie
             except OSError as error:  # the next start of the daemon does it
                 log.warning("incident.postponed", reason=error.strerror or str(error))
             return

@@ -1,6 +1,7 @@
 """Folder of recordings, and its disk budget: the oldest files are removed first, never one being written."""
 
 import contextlib
+import errno
 import os
 import re
 import shutil
@@ -152,8 +153,24 @@ class Folder:
         gone = over_budget(self.files(is_open), int(self.max_disk_mb * MEGABYTE))
         for name in gone:
             (self.path / name).unlink(missing_ok=True)
+        self._check_free()
+        return gone
+
+    def check(self) -> None:
+        """Check that a recording can be written. The folder is created, also after it was removed.
+
+        Raises:
+            FolderTaken: another daemon owns the folder.
+            OSError: it cannot be created or written to, or less than `min_free_disk_mb` is free.
+        """
+        self.claim()
+        self.path.mkdir(parents=True, exist_ok=True)
+        if not os.access(self.path, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, "it cannot be written to")
+        self._check_free()
+
+    def _check_free(self) -> None:
         free_mb = shutil.disk_usage(self.path).free / MEGABYTE
         if free_mb < self.min_free_disk_mb:
             least = self.min_free_disk_mb
             raise OSError(f"{free_mb:.0f} MB of disk space are free, less than min_free_disk_mb = {least:g}")
-        return gone

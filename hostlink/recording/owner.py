@@ -26,6 +26,7 @@ class FolderOwner:
     def __init__(self, folder: Path, name: str) -> None:
         """`name`: of this daemon, for other daemons that want the folder."""
         self._folder, self._name = folder, name
+        self.removals = 0  # how often another program removed the folder meanwhile
         self._turn = threading.Lock()
         self._descriptor = -1
 
@@ -42,6 +43,7 @@ class FolderOwner:
             for _ in range(_TRIES):
                 if self._descriptor >= 0 and _is_file(self._descriptor, self._folder / NAME):
                     return
+                self.removals += self._descriptor >= 0
                 self._close()
                 self._folder.mkdir(parents=True, exist_ok=True)
                 with contextlib.suppress(FileNotFoundError):  # the folder was removed again

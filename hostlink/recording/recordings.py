@@ -1,9 +1,9 @@
 """Recordings: current ones, and the files in the folder."""
 
 import asyncio
-import contextlib
 import functools
 import itertools
+import math
 import os
 import re
 import socket
@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import structlog
 
+from hostlink.detached import DetachedThread
 from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic, size
 from hostlink.hub.hub import Hub
 from hostlink.listening import spelled
@@ -29,6 +30,10 @@ from hostlink.recording.recorder import Recorder, TopicSelection
 log = structlog.get_logger()
 
 MAX_UNDER_WAY = 8
+FOLDER_INTERVAL_S = 2.0  # of the check of the folder
+DISK_S = 10.0  # longest answer of a disk: one that sleeps needs several seconds
+REMOVED_S = 60.0  # for how long a removed folder is a finding
+FOLDER_PART = "recordings"  # name of the folder among the daemon's parts
 LOOK_INTERVAL_S = 1.0  # of the parameters and the free disk space
 PART = ".upload.part"  # file of an upload that is not complete; no recording has such a name
 
@@ -84,6 +89,8 @@ class Recordings:
         self._starting: set[str] = set()
         self._is_storing = False  # a client sends a file
         self._ended = Totals()
+        self._folder_thread = DetachedThread("folder")
+        self._removals, self._removed_at_s = 0, -math.inf
 
     def under_way(self) -> list[Recording]:
         """Return the current recordings, oldest first."""
@@ -239,10 +246,39 @@ class Recordings:
 
     async def open(self) -> None:
         """Start the drive log and the black box."""
-        with contextlib.suppress(OSError):  # the check of the configuration warns, and each write reports it
-            await asyncio.to_thread(self._owner.claim)
+        found = await self._folder_finding()
         await self.drives.start()
         self.black_box.start(self.drives.correct)
+        if self._config.drives or self._hub.config.black_box.enabled:
+            self._hub.diagnoses.observe_own(FOLDER_PART, *found)
+            self._hub.spawn(self._watch_folder(), name="folder of recordings")
+
+    async def _watch_folder(self) -> None:
+        """Tell while nothing can be saved, and make a removed folder again."""
+        while True:
+            await asyncio.sleep(FOLDER_INTERVAL_S)
+            self._hub.diagnoses.observe_own(FOLDER_PART, *await self._folder_finding())
+
+    async def _folder_finding(self) -> tuple[str, str]:
+        """Return code and detail of the finding about the folder; empty if nothing is wrong."""
+        path = self.folder.path
+        try:
+            if not self._folder_thread.is_busy:
+                await self._folder_thread.run(self.folder.check, timeout_s=DISK_S)
+        except FolderTaken as error:
+            return "recordings_taken", error.strerror or str(error)
+        except TimeoutError:  # the thread still waits
+            pass
+        except OSError as error:
+            return "recordings_unusable", f"{path}: {error.strerror or error}"
+        if self._folder_thread.is_busy:
+            return "recordings_unusable", f"{path}: its disk does not answer"
+        now_s = asyncio.get_running_loop().time()
+        if self._owner.removals > self._removals:
+            self._removals, self._removed_at_s = self._owner.removals, now_s
+        if now_s - self._removed_at_s < REMOVED_S:
+            return "recordings_removed", str(path)
+        return "", ""
 
     async def aclose(self) -> None:
         async with asyncio.TaskGroup() as tasks:

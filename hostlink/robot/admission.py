@@ -3,7 +3,9 @@
 Every way in (rosbridge, REST, the page, Foxglove, the client, ROS, the fleet, recordings) fills in a `Command`. The
 robot's `Admission` answers with a `Decision`. No other module decides by ages, epochs, locks or leases.
 
-A *source* of commands is a program, a REST owner, a publisher of another graph. It is in one of three states:
+A *source* of commands is a program, a REST owner, a publisher of another graph. It is in one of four states. A source
+*lets go* of a robot by a zero that is not late, by a lease without a command, or by leaving. A source that commands
+another velocity topic of the robot does not let go by a zero to one of them.
 
 | state    | event                                                     | next     | decision              |
 |----------|-----------------------------------------------------------|----------|-----------------------|
@@ -12,6 +14,10 @@ A *source* of commands is a program, a REST owner, a publisher of another graph.
 | driving  | zero                                                      | quiet    | admitted; the drive ends |
 | driving  | a lease without a command                                 | quiet    | the robot stops       |
 | driving  | interruption: stop, lock, unlock, reconnect, pause        | disarmed | the robot stops       |
+| driving  | another source of the same priority takes over            | taken over | the other one drives |
+| taken over | non-zero command, while another drives                  | taken over | refused: held      |
+| taken over | non-zero command                                        | taken over | refused: disarmed  |
+| taken over | zero that is not late, or a lease without a command     | quiet    | that of the zero      |
 | disarmed | non-zero command without the current epoch                | disarmed | refused: disarmed     |
 | disarmed | non-zero command with the current epoch                   | driving  | admitted for a lease  |
 | disarmed | zero that is not late, or a lease without a command       | quiet    | a zero is admitted    |
@@ -31,17 +37,23 @@ epoch that is not the current one or is from before the newest stop or pause: th
 | non-zero command that was sent or received a lease ago, or earlier  | refused: late        |
 | non-zero command whose stamp is older than `max_stamp_age_s`        | refused: late        |
 | command while another source holds the robot at a higher priority   | refused: held        |
+| command to a velocity topic that another source of the same priority drives, without `take_over` | refused: held |
 | zero while another source drives                                    | refused: held        |
 | non-zero command of one more source than MAX_SOURCES                | refused: crowded     |
 
 Each refused non-zero command counts as one that the source still gives: an interruption disarms this source, too. That
 holds without a record of it: after an interruption that followed a `crowded` refusal, or a dropped record, within a
 lease, every source without a record is disarmed until a lease has passed without such a refusal. A
-zero that is refused arms its source all the same. An admitted command holds the robot at its priority for a lease. A
-source of the same priority takes the robot over. The lease of a command that waited is shorter by that time. A stop
-and a lock do not shorten the time for which the robot is held. A zero ends it, except for a source that drives another
-velocity topic of the robot. So does an admitted velocity of another source: a source that was overruled holds the robot
-no more, except for one that drives another velocity topic at the same priority.
+zero that is refused arms its source all the same. An admitted command holds the robot at its priority for a lease. The
+lease of a command that waited is shorter by that time. A stop and a lock do not shorten the time for which the robot is
+held from lower priorities; a source of the same priority may drive at once. A zero ends it, except for a source that
+drives another velocity topic of the robot. So does an admitted velocity of another source: a source that was overruled
+holds the robot no more, except for one that drives another velocity topic at the same priority.
+
+A source that drives keeps its velocity topic from sources of the same priority until it lets go. One of them may say
+`take_over`: what the source drove, on all velocity topics, ends. The source that was taken over must let go before it
+drives or takes over again, and no epoch replaces that: of two that say `take_over` with each command, one drives. A
+source that a higher priority overruled may drive as soon as the higher one lets go.
 
 A command without the current epoch is from before a stop if it has waited, here or on its way, since more than
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
@@ -99,7 +111,7 @@ class Command(NamedTuple, Generic[V]):
     `received_s` is the earliest time at which this daemon may have received it. `sent_s` is a time of the sender's own
     clock. `epoch` is the robot's epoch as the sender last saw it. `stamp_age_s` is the age of its stamp by this host's
     clock. The last three are None where the sender gave none. `is_planar` is False for a Twist whose other components
-    are not zero: `velocity` lacks them.
+    are not zero: `velocity` lacks them. `take_over` takes the robot over from another source of the same priority.
     """
 
     velocity: V
@@ -110,6 +122,7 @@ class Command(NamedTuple, Generic[V]):
     epoch: int | None = None
     stamp_age_s: float | None = None
     is_planar: bool = True
+    take_over: bool = False
 
 
 @dataclass(slots=True)
@@ -204,11 +217,22 @@ class _Source:
     """Record of one source of commands."""
 
     is_armed: bool = True
-    commanded_s: float = float("-inf")  # the newest non-zero command, admitted or not; a zero resets it
+    taken_by: str | None = None  # who has taken over what it drove; None: it was not, or has let go since
+    commanded: dict[Hashable, float] = field(default_factory=dict)  # by topic: newest non-zero command, admitted or not
     priority: int = 0
     held_until_s: float = float("-inf")
     has_lost_device: bool = False  # it was commanding when the device left, and has not let go since
     freshness: Freshness = field(default_factory=Freshness)
+
+    @property
+    def commanded_s(self) -> float:
+        """The newest non-zero command to a topic to which no zero followed; -inf: there is none."""
+        return max(self.commanded.values(), default=float("-inf"))
+
+    def arm(self) -> None:
+        """Note that the source has let go."""
+        self.is_armed, self.taken_by = True, None
+        self.commanded.clear()
 
     def waited_s(self, command: Command[Any], now_s: float) -> float:
         """Return the age of a command: how long it waited here; or, if that is longer, than the quickest one did."""
@@ -256,14 +280,14 @@ class Admission:
         velocity, owner = command.velocity, command.source
         if velocity.is_zero and command.is_planar:
             return self._decide_zero(command, now_s, topic)
-        source = self._source(command, now_s)
+        source = self._source(command, now_s, topic)
         if source is None:
             self._note_unrecorded(now_s, now_s)
             reason = f"more than {MAX_SOURCES} sources command this robot at once; stop some of them"
             return self._refuse(RefusalKind.CROWDED, reason)
         if now_s >= source.commanded_s + self.lease_s:
-            source.is_armed = True  # it let go
-        source.commanded_s = now_s
+            source.arm()
+        source.commanded[topic] = now_s
         joined = self._joined.pop(owner, None)
         if joined is not None and command.epoch is None:
             command = command._replace(epoch=joined.pop_epoch(command.received_s))
@@ -292,19 +316,17 @@ class Admission:
         if command.epoch == self.epoch:
             source.is_armed = True
         if not source.is_armed:
-            cause = "" if self.interrupted_by is None else f" ({self.interrupted_by})"
-            reason = (
-                f"it was stopped, locked or reconnected while this source was driving{cause}; to drive again, "
-                f"send a zero, pause for {self.lease_s:g} s, or send epoch {self.epoch}"
-            )
-            return self._refuse(RefusalKind.DISARMED, reason, by=self.interrupted_by)
-        holder = self._other_holder(owner, now_s) if len(self._sources) > 1 else None
-        if holder is not None and command.priority < self._sources[holder].priority:
-            reason = f"{holder} drives it with a higher priority; wait until it lets go, or use stop"
-            return self._refuse(RefusalKind.HELD, reason, holder)
+            return self._refuse_disarmed()
+        if len(self._sources) > 1:
+            held = self._refuse_held(command, source, topic, now_s)
+            if held is not None:
+                return held
+        if source.taken_by is not None:
+            reason = f"{source.taken_by} took it over; to drive again, {self._let_go_text()}"
+            return self._refuse(RefusalKind.DISARMED, reason, by=named("a take-over", source.taken_by))
         source.priority, source.held_until_s = command.priority, now_s - max(waited_s, 0.0) + self.lease_s
         if len(self._sources) > 1:
-            self._overrule(owner, command.priority, topic)
+            self._overrule(owner, command.priority, topic, now_s)
         self._drivers[topic] = Lease(owner, command.priority, source.held_until_s)
         return ADMITTED
 
@@ -321,7 +343,10 @@ class Admission:
         if not self._late_text(command, waited_s):
             self._joined.pop(owner, None)
             if source is not None:
-                source.is_armed, source.commanded_s, source.has_lost_device = True, float("-inf"), False
+                source.commanded.pop(topic, None)
+                if now_s >= source.commanded_s + self.lease_s:  # else it commands another topic of the robot
+                    source.arm()
+                    source.has_lost_device = False
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
         driver = self.driver(topic, now_s)
@@ -341,8 +366,16 @@ class Admission:
             del self._drivers[topic]
         source.held_until_s = self._driven_until_s(owner)
 
-    def _overrule(self, owner: Hashable, priority: int, topic: Hashable) -> None:
-        """End the leases that a source takes over: that of its topic, and all of a lower priority; and their holds."""
+    def _overrule(self, owner: Hashable, priority: int, topic: Hashable, now_s: float) -> None:
+        """End the leases that a source takes over, and their holds.
+
+        They are those of a lower priority, that of its topic, and all others of the source that drove the topic at the
+        same priority: that one is taken over.
+        """
+        before = self._drivers.get(topic)
+        if before is not None and before.source != owner and before.priority == priority and now_s < before.deadline_s:
+            self._sources[before.source].taken_by = str(owner)
+            self.end_drives(before.source)
         self._drivers = {
             driven: lease
             for driven, lease in self._drivers.items()
@@ -356,7 +389,7 @@ class Admission:
         """Return the end of the last lease of a source; -inf if it has none."""
         return max((each.deadline_s for each in self._drivers.values() if each.source == owner), default=float("-inf"))
 
-    def _source(self, command: Command[Any], now_s: float) -> _Source | None:
+    def _source(self, command: Command[Any], now_s: float, topic: Hashable) -> _Source | None:
         """Return the record of a source, the last of all; None where there is room for no other.
 
         A record of a quiet source may be dropped, because a new source is armed, unless it may have been commanding
@@ -368,7 +401,7 @@ class Admission:
                 return None
             source = _Source(priority=command.priority)
             if now_s < self._unarmed_until_s:
-                source.is_armed, source.commanded_s = False, now_s
+                source.is_armed, source.commanded[topic] = False, now_s
         self._sources[command.source] = source
         return source
 
@@ -381,7 +414,7 @@ class Admission:
         armed = [
             owner
             for owner, source in self._sources.items()
-            if source.is_armed and not source.has_lost_device and owner not in driving
+            if source.is_armed and source.taken_by is None and not source.has_lost_device and owner not in driving
         ]
         least = min(armed, key=lambda owner: self._sources[owner].priority, default=None)
         if least is None or self._sources[least].priority >= priority:
@@ -403,6 +436,40 @@ class Admission:
             if other != owner and now_s < source.held_until_s
         )
         return max(others, key=lambda each: each[:2], default=(0, 0.0, None))[2]
+
+    def _refuse_held(self, command: Command[Any], source: _Source, topic: Hashable, now_s: float) -> Decision | None:
+        """Refuse a command because another source holds the robot, or drives the topic; None: no other does."""
+        holder = self._other_holder(command.source, now_s)
+        if holder is not None and command.priority < self._sources[holder].priority:
+            return self._refuse_less_important(holder)
+        driver = self.driver(topic, now_s)
+        if driver is None or driver.source == command.source or driver.priority < command.priority:
+            return None
+        if driver.priority > command.priority:
+            return self._refuse_less_important(driver.source)
+        if source.taken_by is not None:
+            reason = f"{driver.source} has taken it over; to take it over again, {self._let_go_text()} first"
+        elif command.take_over:
+            return None
+        else:
+            advice = "wait until it lets go, stop it, or use take_over"
+            reason = f"{driver.source} drives it with the same priority; {advice}"
+        return self._refuse(RefusalKind.HELD, reason, driver.source)
+
+    def _refuse_less_important(self, holder: Hashable) -> Decision:
+        reason = f"{holder} drives it with a higher priority; wait until it lets go, or use stop"
+        return self._refuse(RefusalKind.HELD, reason, holder)
+
+    def _refuse_disarmed(self) -> Decision:
+        cause = "" if self.interrupted_by is None else f" ({self.interrupted_by})"
+        reason = (
+            f"it was stopped, locked or reconnected while this source was driving{cause}; to drive again, "
+            f"{self._let_go_text()}, or send epoch {self.epoch}"
+        )
+        return self._refuse(RefusalKind.DISARMED, reason, by=self.interrupted_by)
+
+    def _let_go_text(self) -> str:
+        return f"send a zero, or pause for {self.lease_s:g} s"
 
     def _refuse(self, kind: RefusalKind, reason: str, holder: Hashable = None, *, by: str | None = None) -> Decision:
         self.refused[kind] = self.refused.get(kind, 0) + 1
@@ -470,9 +537,13 @@ class Admission:
         if since_s < self._unrecorded_s + self.lease_s:
             self.distrust(now_s)
         for source in self._sources.values():
-            if source.has_lost_device or since_s < source.commanded_s + self.lease_s:
-                # Commands that waited through a pause are read now, so a lease without commands begins now.
-                source.is_armed, source.commanded_s = False, now_s
+            commanded = {
+                topic: now_s  # commands that waited through a pause are read now, so a lease without them begins now
+                for topic, commanded_s in source.commanded.items()
+                if source.has_lost_device or since_s < commanded_s + self.lease_s
+            }
+            if commanded:
+                source.is_armed, source.commanded = False, commanded
 
     def distrust(self, now_s: float) -> None:
         """Disarm every source without a record: it may be in the middle of a motion from before an interruption."""

@@ -17,12 +17,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from hostlink.robot.kinematics import Drive
 from hostlink.robot.readings import POSE_TYPES, READERS, VELOCITY_TYPES, Flaw, OdometryReading
-from hostlink.robot.wheel_feedback import WheelDrive, WheelFeedback, WheelSettings
+from hostlink.robot.wheel_feedback import WheelFeedback, WheelSettings
 
 
 class FeedbackKind(StrEnum):
-    """What is known of a robot's motion."""
+    """Knowledge of a robot's motion."""
 
     POSE = "pose"  # and its velocity
     VELOCITY = "velocity"
@@ -32,9 +33,9 @@ class FeedbackKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FeedbackSettings:
-    """What a robot's settings say of its feedback. Without any, it is recognised."""
+    """Settings of a robot's feedback. Without any, it is recognised."""
 
-    topic: str | None = None  # of its pose or velocity; "": it has none, whatever its topics look like
+    topic: str | None = None  # of its pose or velocity; "": none of its topics tells it
     encoders: WheelSettings | None = None
 
 
@@ -46,7 +47,7 @@ _COMMANDED = re.compile(r"cmd|command|target|goal|set|ref|desired|wanted|joy|rc\
 class Feedback:
     """The feedback of one robot. `topics` are those that it reads; `lacks` is what is missing to know more."""
 
-    def __init__(self, endpoints: Iterable[tuple[str, str]], settings: FeedbackSettings, drive: WheelDrive) -> None:
+    def __init__(self, endpoints: Iterable[tuple[str, str]], settings: FeedbackSettings, drive: Drive) -> None:
         """`endpoints`: name and type of each topic from the robot's devices, in their order. The settings decide first.
 
         Raises:
@@ -62,7 +63,7 @@ class Feedback:
         elif settings.topic != "":
             self._use_message(offered, settings.topic)
 
-    def _use_encoders(self, offered: list[tuple[str, str]], encoders: WheelSettings, drive: WheelDrive) -> None:
+    def _use_encoders(self, offered: list[tuple[str, str]], encoders: WheelSettings, drive: Drive) -> None:
         found = [_named(offered, name) for name in encoders.names]
         missing = [name for name, topic in zip(encoders.names, found, strict=True) if topic is None]
         if missing:
@@ -93,7 +94,7 @@ class Feedback:
 
     @property
     def restarts(self) -> int:
-        """How often the counts of the wheels began anew."""
+        """Number of times that the counts of the wheels began anew."""
         return 0 if self._wheels is None else self._wheels.restarts
 
     def restart(self) -> None:

@@ -27,7 +27,7 @@ from hostlink.robot.command_types import (
     JOINT_STATE_TYPE,
     JOY_TYPE,
     NUMBER_TYPES,
-    STRING_TYPE,
+    TEXT_TYPES,
     TopicType,
 )
 from hostlink.robot.feedback import recognised
@@ -40,12 +40,20 @@ _USUAL_NAMES: Final = ("velocity_commands", "cmd_vel")  # the likelier first
 _USUAL_POSES: Final = ("nav_msgs/Odometry", "geometry_msgs/Pose2D")
 _TWISTS: Final = (TWIST_TYPE, TWIST_STAMPED_TYPE)
 _NO_MOTION: Final = frozenset({"std_msgs/Bool", "std_msgs/Empty", "std_msgs/ColorRGBA", "std_msgs/Time"})
-_MOTION: Final = re.compile(r"vel|drive|twist|cmd|motion|move", re.IGNORECASE)
+_MOTION: Final = re.compile(
+    r"vel|drive|twist|cmd|command|control|(?<!e)mot(ion|or)|move|mov$|speed|teleop", re.IGNORECASE
+)
 _SUSPECT: Final = re.compile(
-    r"vel(ocity)?$|^cmd|cmd$|command|control|motor|wheel|speed|pwm|steer|throttle|thrust|traction|move|drive",
+    r"vel(ocity|ocities)?$|^vel|^cmd|cmds?$|command|control|(?<!e)mot(ion|or)|mtr|wheel|speed|spd|pwm|dut(y|ies)|steer|throttle"
+    r"|thrust|traction|move|mov$|drive|rotat|joy",
     re.IGNORECASE,
 )
-_SERVO: Final = re.compile(r"servo|arm|joint|gripper|angle|position|actuat|stepper|lift|wing", re.IGNORECASE)
+_SPOKEN: Final = re.compile(r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE)  # texts
+_SERVO: Final = re.compile(
+    r"servo|(?:^|[/_])arm(?![a-z])|joint|gripper|angle|position|actuat|stepper|lift|wing", re.IGNORECASE
+)
+_WHEEL: Final = re.compile(r"vel(ocity)?$|motor|wheel|speed|pwm|throttle", re.IGNORECASE)
+_TRIGGER: Final = re.compile(r"open|close|launch|fire|shoot|release|drop|grip|kick|throw|pick", re.IGNORECASE)
 # Words of a topic's name that tell what it is, but not whose.
 _COMMON: Final = frozenset({
     "ackermann", "base", "cb", "cmd", "cmdvel", "command", "commands", "control", "controller", "ctrl", "drive", "from",
@@ -54,7 +62,16 @@ _COMMON: Final = frozenset({
     "the", "to", "topic", "twist", "unstamped", "vel", "velocities", "velocity", "wheel", "wheels",
 })  # fmt: skip
 _SHORTEST_WORD: Final = 3
-_MAX_WHEELS: Final = 8  # in a suggestion
+_TRIGGERS: Final = ("std_msgs/Empty", "std_msgs/Bool")
+_SIDES: Final = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
+_NO_WHEEL: Final = re.compile(r"mode|steer|rotat|turn|limit|enable", re.IGNORECASE)
+# What a number of wheels needs besides its topics, in a suggestion.
+_WHEELS_NEED: Final = {
+    1: "",
+    2: "",
+    3: 'kinematics = "omni3"\nwheel_distance_m = 0.1\n',
+    4: 'kinematics = "skid_steer"\n',
+}
 
 
 class Endpoint(NamedTuple):
@@ -89,7 +106,7 @@ class Role(StrEnum):
 
 
 class CommandSettings(NamedTuple):
-    """What the settings say of one robot's command. Topics are as the device names them."""
+    """Settings of one robot's command. Topics are as the device names them."""
 
     kind: CommandKind | None = None  # None: it is recognised
     topics: tuple[str, ...] = ()  # that command it; empty: they are recognised
@@ -217,13 +234,8 @@ def unguarded(
 def actuators(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETTINGS) -> list[Endpoint]:
     """Return the endpoints that set positions: servos, joints, a joystick that a board reads."""
     commands = {topic.name for topic in _commands(endpoints, settings)[0]}
-    return [
-        each
-        for each in endpoints
-        if each.is_to_device
-        and each.name not in commands
-        and (each.type_name == JOINT_STATE_TYPE or (_is_motor(each) and _SERVO.search(each.name) is not None))
-    ]
+    commands |= {each.name for each in endpoints if is_velocity(each)}
+    return [each for each in endpoints if each.is_to_device and each.name not in commands and _is_position(each)]
 
 
 def roles(
@@ -277,12 +289,14 @@ def suggestion(suspects: Sequence[Endpoint], name: str, address: str, *, is_robo
         first = names[0]
         if type_name in _TWISTS:
             return f"{address_line}command_topic = {_quoted(first)}"
-        if type_name in NUMBER_TYPES or type_name in ARRAY_TYPES:
-            wheels = ", ".join(map(_quoted, names[:_MAX_WHEELS]))
-            return f'{address_line}[robots.{name}.wheels]\ntopics = [{wheels}]\nunit = "pwm"'
+        wheels = [first] if type_name in ARRAY_TYPES else _wheel_topics(suspects) if type_name in NUMBER_TYPES else []
+        if len(wheels) in _WHEELS_NEED:
+            listed = ", ".join(map(_quoted, wheels))
+            need = _WHEELS_NEED[len(wheels)]
+            return f'{address_line}{need}[robots.{name}.wheels]\ntopics = [{listed}]\nunit = "pwm"'
         if type_name == JOY_TYPE:
             return f"{address_line}[robots.{name}.joy]\ntopic = {_quoted(first)}\nx_axis = 1\nyaw_axis = 0"
-        if type_name == STRING_TYPE:
+        if type_name in TEXT_TYPES:
             words = 'forward = "F"\nbackward = "B"\nleft = "L"\nright = "R"\nstop = "S"'
             return f"{address_line}[robots.{name}.words]\ntopic = {_quoted(first)}\n{words}"
     return f"{address_line}locked_topics = [{topics}]"
@@ -375,8 +389,37 @@ def _is_motor(endpoint: Endpoint) -> bool:
 
 
 def _looks_like_motion(endpoint: Endpoint) -> bool:
-    is_position = endpoint.type_name == JOINT_STATE_TYPE or _SERVO.search(endpoint.name) is not None
-    return _is_motor(endpoint) and not is_position and any(map(_SUSPECT.search, _parts(endpoint.name)))
+    if not _is_motor(endpoint) or _is_position(endpoint):
+        return False
+    is_spoken = endpoint.type_name in TEXT_TYPES and _SPOKEN.search(endpoint.name) is not None
+    return is_spoken or any(map(_SUSPECT.search, _parts(endpoint.name)))
+
+
+def _is_position(endpoint: Endpoint) -> bool:
+    """Whether it sets a position or starts a movement. In the namespace of an arm, a motor is a motor all the same."""
+    if endpoint.type_name in _TRIGGERS:
+        return _TRIGGER.search(leaf_of(endpoint.name)) is not None
+    if endpoint.type_name == JOINT_STATE_TYPE:
+        return True
+    leaf = leaf_of(endpoint.name)
+    is_servo = _SERVO.search(leaf) is not None or (_SERVO.search(endpoint.name) and not _WHEEL.search(leaf))
+    return _is_motor(endpoint) and bool(is_servo)
+
+
+def _wheel_topics(suspects: Sequence[Endpoint]) -> list[str]:
+    """Return the topics of the wheels, in their order: those that are pairs of left and right, if there are any."""
+    names = [each.name for each in suspects if each.type_name in NUMBER_TYPES]
+    pairs: dict[str, str] = {}
+    for name in names:
+        for left, right in _SIDES:
+            starts = [found.start() for found in re.finditer(left, name)]
+            others = [name[:start] + right + name[start + len(left) :] for start in starts]
+            other = next((each for each in others if each in names), None)
+            if other is not None and name not in pairs and other not in pairs.values():
+                pairs[name] = other
+    if pairs:
+        return [topic for pair in pairs.items() for topic in pair]
+    return [name for name in names if _NO_WHEEL.search(leaf_of(name)) is None] or names[:1]
 
 
 def select(settings: Mapping[str, CommandSettings], endpoints: Sequence[Endpoint]) -> str | None:

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 from array import array
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
@@ -58,7 +59,8 @@ Key = TypeVar("Key")
 
 PLAYED = "a recording"  # the address of all recordings that are played
 UNNAMED = "robot"  # with a number: the name of a robot that nothing names
-MAX_REMEMBERED = 4096  # places of robots that nothing names
+MAX_REMEMBERED = 4096  # names; the one that was used least recently is forgotten first
+_NUMBERED = re.compile(rf"{UNNAMED}(_[0-9]+)*", re.ASCII)  # names that robots without a name get, or announce
 
 
 class Origin(NamedTuple):
@@ -68,6 +70,22 @@ class Origin(NamedTuple):
     address: str
     peer: str  # the address with its port; of a serial port the path
     is_unnamed: bool = False  # neither namespace nor topic tell a name
+
+
+@dataclass(frozen=True, slots=True)
+class Remembered:
+    """Last owner of a name, as the daemon knew it before its restart: what it announced, and its address.
+
+    The address is empty if the name was forgotten since.
+    """
+
+    own: str
+    address: str
+    is_unnamed: bool = False
+
+    def is_of(self, origin: Origin) -> bool:
+        """Whether a device with this origin may be that owner."""
+        return (self.own, self.address, self.is_unnamed) == (origin.own, origin.address, origin.is_unnamed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,24 +137,44 @@ class RobotNames:
        announce it and its last owner is at another address;
     5. that name with a number: car_2, car_3, ...
 
-    A robot that announces no name is robot_0, robot_1, ...: that of its address, as long as it is remembered.
+    A robot that announces no name is robot_0, robot_1, ...: the first that no device has or had. `remembered` keeps
+    these names over restarts of the daemon, with the addresses of their owners:
+
+    | a name like robot_0 was that of                          | after a restart it is given to                     |
+    |----------------------------------------------------------|----------------------------------------------------|
+    | the only robot without a name at an address              | the robot without a name at this address           |
+    | one of several robots without a name at one address      | none of them: nothing tells which one it was       |
+    | a robot that announces it                                | one that announces it, by the rules above          |
+
+    A robot that announces robot_0 is robot_0_2 while that is the name of another one that announces nothing.
 
     A recording that is played leaves its name to the robot, and is not counted among those that announce it.
 
     A name without a device stays its last owner's until it is forgotten.
     """
 
-    def __init__(self, addresses: Mapping[str, str | None], remembered: Mapping[str, str] | None = None) -> None:
+    def __init__(self, addresses: Mapping[str, str | None], remembered: Mapping[str, Remembered] | None = None) -> None:
         """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port.
 
-        `remembered`: address -> name, of robots that nothing names.
+        `remembered`: name -> its owner before the restart.
         """
         self.places = Places(addresses)
-        self.remembered = dict(remembered or {})
+        self.remembered: dict[str, Remembered] = {}  # the one that was used last is the last one
+        self.remember(remembered or {})
         self.links: dict[str, int] = {}  # of the names that a device has now
         self._owners: dict[str, Origin] = {}
-        self._of_origin: defaultdict[tuple[str, str], dict[str, None]] = defaultdict(dict)  # in the order of coming
-        self._of_own: defaultdict[str, dict[str, None]] = defaultdict(dict)
+        self._of_origin: defaultdict[tuple[str, str, bool], dict[str, None]] = defaultdict(dict)  # in order of coming
+        self._of_own: defaultdict[str, dict[str, None]] = defaultdict(dict)  # of devices that announce it
+
+    def remember(self, remembered: Mapping[str, Remembered]) -> None:
+        """Remember owners from before the restart. A name that the configuration places is not theirs any longer."""
+        found = {name: owner for name, owner in remembered.items() if _NUMBERED.fullmatch(name)}
+        self.remembered = {name: owner for name, owner in found.items() if not self.places.has(name)} | self.remembered
+        self._bound()
+
+    def _bound(self) -> None:
+        while len(self.remembered) > MAX_REMEMBERED:
+            del self.remembered[next(iter(self.remembered))]
 
     def misplaced(self, places: Places) -> list[str]:
         """Return the names that these places give to another device, or whose device they give another name."""
@@ -161,6 +199,9 @@ class RobotNames:
             return Named(same or before[0], same is not None or len(had) == 1)
         if free:
             return Named(next((name for name in free if name not in self._owners), free[0]), is_only_one)
+        known = self._known(origin)
+        if not had and len(known) == 1 and self._is_unused(known[0]):
+            return Named(known[0])
         if origin.is_unnamed:
             return Named(self._unnamed(origin))
         if self._is_free(origin):
@@ -172,14 +213,14 @@ class RobotNames:
         self.forget(name)
         self.links[name] = link
         self._owners[name] = origin
-        self._of_origin[origin.own, origin.address][name] = None
+        self._of_origin[_key(origin)][name] = None
         if origin.address != PLAYED:
-            self._of_own[origin.own][name] = None
-        if origin.is_unnamed and name.startswith(UNNAMED):
-            self.remembered.pop(origin.address, None)
-            self.remembered[origin.address] = name
-            while len(self.remembered) > MAX_REMEMBERED:
-                del self.remembered[next(iter(self.remembered))]
+            if not origin.is_unnamed:
+                self._of_own[origin.own][name] = None
+            self.remembered.pop(name, None)
+            if _NUMBERED.fullmatch(name) and not self.places.has(name):
+                self.remembered[name] = Remembered(origin.own, origin.address, origin.is_unnamed)
+                self._bound()
 
     def leave(self, name: str) -> None:
         """Note that the device has disconnected; it keeps its name."""
@@ -190,8 +231,16 @@ class RobotNames:
         self.links.pop(name, None)
         owner = self._owners.pop(name, None)
         if owner is not None:
-            _drop(self._of_origin, owner[:2], name)
+            _drop(self._of_origin, _key(owner), name)
             _drop(self._of_own, owner.own, name)
+
+    def forget_address(self, name: str) -> None:
+        """Forget where a robot was that announces its name: it may be anywhere. Others keep their names for long."""
+        owner = self.remembered.get(name)
+        if owner is not None and not owner.is_unnamed:
+            del self.remembered[name]
+            if owner.own == name:  # no robot that announces nothing may have it
+                self.remembered[name] = replace(owner, address="")
 
     def has_twins(self, origin: Origin) -> bool:
         """Whether several robots were seen there that announce this name."""
@@ -202,42 +251,61 @@ class RobotNames:
 
         A recording is not a device. A robot that announces no name has the number of its address.
         """
-        if origin.is_unnamed and len(self._names_of(origin)) <= 1:
+        if origin.is_unnamed and len(self._names_of(origin)) <= 1 and len(self._known(origin)) <= 1:
             return False
         return origin.address != PLAYED and name != origin.own and name not in self.places.at(origin)
 
     def _names_of(self, origin: Origin) -> list[str]:
-        return list(self._of_origin.get((origin.own, origin.address), ()))
+        return list(self._of_origin.get(_key(origin), ()))
+
+    def _known(self, origin: Origin) -> list[str]:
+        return [name for name, owner in self.remembered.items() if owner.is_of(origin)]
+
+    def _is_unused(self, name: str) -> bool:
+        return name not in self._owners and not self.places.has(name)
 
     def _is_free(self, origin: Origin) -> bool:
         name, owner = origin.own, self._owners.get(origin.own)
+        if self.places.has(name):
+            return False
+        if not self._may_have_been(name, origin):
+            return False
         if owner is not None and owner.address == PLAYED != origin.address:
-            return not self.places.has(name)
-        if name in self.links or self.places.has(name):
+            return True
+        if name in self.links:
             return False
         return owner is None or (owner.own == name and len(self._of_own.get(name, ())) <= 1)
 
+    def _may_have_been(self, name: str, origin: Origin) -> bool:
+        """Whether a device that announces a name can be the last one that had it, as far as that is remembered."""
+        last = self.remembered.get(name)
+        if last is None or last.is_of(origin):
+            return True
+        namesakes = (each for each in self.remembered.values() if each.own == last.own and not each.is_unnamed)
+        return not last.is_unnamed and last.own == name and (not last.address or len(list(namesakes)) <= 1)
+
     def _unnamed(self, origin: Origin) -> str:
-        """Return robot_0, robot_1, ...: the name that was given to the address, else the first that nobody has."""
-        known = self.remembered.get(origin.address)
-        if known is not None and known not in self.links and not self.places.has(known):
-            return known
-        taken = set(self.remembered.values())
+        """Return the first of robot_0, robot_1, ... that no device has or had."""
         names = itertools.chain((origin.own,), (f"{UNNAMED}_{number}" for number in itertools.count()))
-        return next(
-            name for name in names if name not in self._owners and name not in taken and not self.places.has(name)
-        )
+        return next(name for name in names if self._is_unused(name) and name not in self.remembered)
 
     def _numbered(self, own: str) -> str:
         numbers = (f"_{number}" for number in itertools.count(2))
         names = (own[: LONGEST_NAME - len(number)] + number for number in numbers)
-        return next(name for name in names if name not in self._owners and not self.places.has(name))
+        return next(name for name in names if self._is_unused(name) and name not in self.remembered)
+
+
+def _key(origin: Origin) -> tuple[str, str, bool]:
+    """Return what a device has in common with itself before it reconnected."""
+    return origin.own, origin.address, origin.is_unnamed
 
 
 def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None:
-    names[key].pop(name, None)
-    if not names[key]:
-        del names[key]
+    found = names.get(key)
+    if found is not None:
+        found.pop(name, None)
+        if not found:
+            del names[key]
 
 
 _MARK, _MARK_TYPE = "played", "std_msgs/String"  # a topic of a recording that is played as a device
@@ -312,11 +380,11 @@ class Directory:
         self,
         addresses: Mapping[str, str | None],
         settings: Mapping[str, CommandSettings] | None = None,
-        remembered: Mapping[str, str] | None = None,
+        remembered: Mapping[str, Remembered] | None = None,
     ) -> None:
         """`addresses`: robot name -> the peer address or serial port that the configuration gives it.
 
-        `settings`: what commands each robot. `remembered`: address -> name, of robots that nothing names.
+        `settings`: what commands each robot. `remembered`: name -> its owner before the restart.
         """
         self._names = RobotNames(addresses, remembered)
         self._settings = dict(settings or {})
@@ -325,9 +393,13 @@ class Directory:
         self._settled: defaultdict[tuple[str, Hashable], dict[int, None]] = defaultdict(dict)
 
     @property
-    def remembered(self) -> dict[str, str]:
-        """Addresses of robots that nothing names, and their names: for the next start of the daemon."""
+    def remembered(self) -> dict[str, Remembered]:
+        """Names like robot_0 and their owners, for the next start of the daemon."""
         return self._names.remembered
+
+    def remember(self, remembered: Mapping[str, Remembered]) -> None:
+        """Remember owners of names from before the restart."""
+        self._names.remember(remembered)
 
     def presence(self, link: int) -> Presence:
         """Return the presence of a link, which notes each read from its device."""
@@ -434,6 +506,7 @@ class Directory:
             if link is not None:
                 self._release(link)
             self._names.forget(name)
+            self._names.remembered.pop(name, None)
         return misplaced
 
     def leave(self, link: int) -> None:
@@ -445,6 +518,7 @@ class Directory:
         """Forget the robot of that name: another device may have it."""
         if name not in self._names.links:
             self._names.forget(name)
+            self._names.forget_address(name)
 
     def _rivals(self, entry: _Entry, now_s: float) -> tuple[int | None, list[int]]:
         """Links that claim the same identity: one that has ended, and those that may have."""

@@ -18,7 +18,7 @@ POSE_TYPE, ODOMETRY_TYPE = "geometry_msgs/Pose2D", "nav_msgs/Odometry"
 
 
 class Flaw(StrEnum):
-    """What is wrong with one message. The first four leave no pose."""
+    """Flaw of one message. The first four leave no pose."""
 
     NOT_FINITE = "not_finite"  # NaN or infinity in the pose, or in the velocity of a message without a pose
     ZERO_QUATERNION = "zero_quaternion"  # all four numbers of the orientation are 0

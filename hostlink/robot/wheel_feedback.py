@@ -4,12 +4,11 @@ import math
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hostlink.errors import BadPayload, ConfigError
-from hostlink.robot.kinematics import Pose
+from hostlink.robot.kinematics import Drive, Pose
 from hostlink.robot.readings import OdometryReading
-from hostlink.robot.velocity import PlanarVelocity
 
 JOINT_STATE_TYPE = "sensor_msgs/JointState"
 _FORMATS = {
@@ -36,23 +35,6 @@ LEAP_M_S = 10.0  # faster than the wheels of any small robot: the counts were se
 SHAKE_M = 0.02  # what a wheel may roll more than at its last speed, in one step
 USUAL_M_S2, USUAL_M_S = 1.0, 0.3  # acceleration of a wheel, and how much its speed changes
 NEAR_ZERO_M = 0.1  # what a wheel rolls between the start of its board and the first message
-
-
-class WheelDrive(Protocol):
-    """Kinematics of the robot's drive."""
-
-    @property
-    def wheels(self) -> Sequence[str]:
-        """Names of the wheels; empty if they are not known."""
-        ...
-
-    def velocity(self, wheel_speeds: Sequence[float]) -> PlanarVelocity:
-        """Velocity of the body at these speeds of the rims."""
-        ...
-
-    def integrate(self, pose: Pose, wheel_m: Sequence[float]) -> Pose:
-        """The pose after each wheel rolled this far."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,7 +151,7 @@ def _counted(payload: bytes, at: int) -> tuple[int, int]:
 
 
 def _array(format_: struct.Struct, payload: bytes) -> tuple[float, ...]:
-    """Values of a MultiArray, whatever its layout says."""
+    """Return the values of a MultiArray. Its layout is ignored."""
     dimensions, at = _counted(payload, 0)
     for _ in range(dimensions):
         (size,) = _COUNT.unpack_from(payload, at)
@@ -200,7 +182,7 @@ class WheelFeedback:
     | everything else                                                 | the wheels rolled that far              |
     """
 
-    def __init__(self, topics: Mapping[str, str], settings: WheelSettings, drive: WheelDrive) -> None:
+    def __init__(self, topics: Mapping[str, str], settings: WheelSettings, drive: Drive) -> None:
         """`topics`: name and type of each topic of `settings`, in the order of the settings.
 
         Raises:

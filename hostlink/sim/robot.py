@@ -9,6 +9,7 @@ from hostlink.protocol.control import decode_topic_info, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, byte_sum, encode
 from hostlink.protocol.resampling import resample
 from hostlink.protocol.stream import FrameStream
+from hostlink.sim.board import SimulatedBoard
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import Firmware, RobotKind, SimulatedWheel
 
@@ -18,7 +19,7 @@ BAUD = 38400  # the paper's
 PASS_MS = 1000  # longest step of the firmware
 
 
-class SimulatedRobot(Firmware):
+class SimulatedRobot(Firmware, SimulatedBoard):
     """Firmware in real time. `advance` runs the firmware up to a time and returns the bytes that left its UART.
 
     While nothing is sent to the robot, `quiet_s` may pass between two calls.
@@ -135,6 +136,9 @@ FAULTS = {
     "stalled_wheel": Fault(break_wheel=lambda wheel: wheel.grip(0.0)),  # its left wheel is blocked
     "runaway_wheel": Fault(break_wheel=lambda wheel: wheel.break_driver()),  # its left motor's driver is broken
 }
+
+
+WHEEL_FAULTS = tuple(name for name, fault in FAULTS.items() if fault.break_wheel is not HEALTHY.break_wheel)
 
 
 class FaultyLine:

@@ -14,8 +14,10 @@ from typing import Any
 from hostlink.cancellation import meanwhile
 from hostlink.errors import system_text
 from hostlink.protocol.frame import Id, encode
+from hostlink.sim.board import SimulatedBoard
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import RobotKind
+from hostlink.sim.kinematic_robot import DRIVES, KinematicRobot
 from hostlink.sim.robot import HEALTHY, Fault, FaultyLine, SimulatedRobot
 
 SocketAddress = tuple[Any, ...]  # host and port, and for IPv6 two more
@@ -41,10 +43,13 @@ async def run_fleet(
     fault: Fault = HEALTHY,
     world: WorldParameters | None = None,
     kind: RobotKind = RobotKind.PAPER,
+    kinematics: str | None = None,
     log: Callable[[str], None] = lambda _: None,
     on_connected: Callable[[str, SocketAddress], None] = lambda _name, _address: None,
 ) -> None:
     """Run robot_0, robot_1, ... until cancelled. Each robot reconnects when its connection ends.
+
+    With `kinematics` they have that drive in a world of kinematics, else the firmware in its world.
 
     Over TCP, `on_connected` is called with the robot's name and its own end of each new connection.
     """
@@ -55,9 +60,12 @@ async def run_fleet(
     say_waiting = functools.cache(functools.partial(log, waiting))  # once for all robots
     async with asyncio.TaskGroup() as tasks:
         for number in range(first, first + robots):
-            robot = SimulatedRobot(
-                f"robot_{number}", world=world_of(number, world), kind=kind, clock_rate=fault.clock_rate
-            )
+            name = f"robot_{number}"
+            robot: SimulatedBoard
+            if kinematics is None:
+                robot = SimulatedRobot(name, world=world_of(number, world), kind=kind, clock_rate=fault.clock_rate)
+            else:
+                robot = KinematicRobot(name, DRIVES[kinematics], clock_rate=fault.clock_rate)
             if is_udp:
                 running = run_over_udp(robot, host, port, fault=fault, log=log, on_unanswered=say_waiting)
             else:
@@ -72,7 +80,7 @@ def world_of(number: int, world: WorldParameters | None) -> WorldParameters:
 
 
 async def run_over_tcp(
-    robot: SimulatedRobot,
+    robot: SimulatedBoard,
     host: str,
     port: int,
     *,
@@ -107,7 +115,7 @@ async def run_over_tcp(
 
 
 async def run_over_udp(
-    robot: SimulatedRobot,
+    robot: SimulatedBoard,
     host: str,
     port: int,
     *,
@@ -142,7 +150,7 @@ def _give_up_soon(writer: asyncio.StreamWriter) -> None:
 
 
 async def run_over_streams(
-    robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, fault: Fault = HEALTHY
+    robot: SimulatedBoard, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, fault: Fault = HEALTHY
 ) -> None:
     """Run the robot on an open connection until the connection ends."""
     async with _switched_on(robot, fault) as board:
@@ -152,7 +160,7 @@ async def run_over_streams(
 class _Board:
     """Switched-on robot whose firmware runs in real time, connected or not."""
 
-    def __init__(self, robot: SimulatedRobot, fault: Fault) -> None:
+    def __init__(self, robot: SimulatedBoard, fault: Fault) -> None:
         self.robot = robot
         self.fault = fault
         self._send: Callable[[bytes], None] | None = None
@@ -202,9 +210,10 @@ class _Board:
 
 
 @contextlib.asynccontextmanager
-async def _switched_on(robot: SimulatedRobot, fault: Fault) -> AsyncIterator[_Board]:
+async def _switched_on(robot: SimulatedBoard, fault: Fault) -> AsyncIterator[_Board]:
     """Run the robot's firmware within the block."""
-    fault.break_wheel(robot.world.left)
+    if isinstance(robot, SimulatedRobot):
+        fault.break_wheel(robot.world.left)
     board = _Board(robot, fault)
     async with meanwhile((f"{robot.name} board", board.run())):
         try:

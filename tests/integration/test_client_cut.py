@@ -56,7 +56,7 @@ class World:
         async with asyncio.timeout(TIMEOUT_S):
             while self.body.speed_m_s < 0.02:
                 with contextlib.suppress(HostlinkError):
-                    await robot.drive(0.2, 0.0)
+                    await robot.drive(0.2, 0.0, resume=True)
                 await asyncio.sleep(0.1)
 
     async def stands(self) -> None:
@@ -87,11 +87,11 @@ async def driven() -> AsyncIterator[World]:
 
 
 async def drive_is_dropped(world: World) -> None:
-    """The next drive raises once, then it may drive again."""
+    """The next drive raises; the program drives again when it resumes."""
     assert not world.robot.is_driven
-    with pytest.raises(HostlinkError, match="robot_0 was stopped, drive again if it is still meant") as caught:
+    with pytest.raises(HostlinkError, match="robot_0 was stopped: ") as caught:
         await world.robot.drive(0.2, 0.0)
-    assert "meant: the connection" in str(caught.value) or world.host.was_paused
+    assert "stopped: the connection" in str(caught.value) or world.host.was_paused
     await world.moves(world.robot)
 
 
@@ -139,7 +139,7 @@ async def test_a_stop_that_overtakes_commands_on_their_way_stops_for_good(is_rep
         world.line.set_line(Line.WORKS)
         await expect(lambda: gate.owner_name is None and gate.current.is_zero)
         await expect_never(lambda: not gate.current.is_zero, for_s=0.3)
-        assert world.me.is_connected
+        assert world.me.is_connected or world.host.was_paused
 
 
 async def test_during_the_cut_every_call_raises_at_once() -> None:
@@ -163,14 +163,15 @@ async def test_a_drive_that_is_under_way_when_the_line_dies_fails_and_is_not_rep
     async with driven() as world:
         world.line.set_line(Line.SWALLOWS)
         watch = Stopwatch()
-        with pytest.raises(HostlinkError, match="the connection"):
+        with pytest.raises(HostlinkError) as caught:
             await world.robot.drive(0.3, 0.0)
+        assert "the connection" in str(caught.value) or world.host.was_paused
         assert watch.seconds < NOTICED_S or world.host.was_paused
         assert not world.robot.is_driven
         await world.stands()
         world.line.set_line(Line.WORKS)
         await expect(lambda: world.me.is_connected)
-        await world.robot.drive(0.1, 0.0)  # the loss was raised already
+        await world.robot.drive(0.1, 0.0, resume=True)  # the loss was raised already
 
 
 async def test_reconnection_after_a_reset_restores_subscriptions_and_advertisements() -> None:

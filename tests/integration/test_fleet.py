@@ -14,6 +14,7 @@ from hostlink.protocol.control import decode_parameter
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.topic_table import MAX_MISSED
 from hostlink.robot.velocity import PlanarVelocity
+from hostlink.sim.kinematic_robot import DRIVES
 from hostlink.sim.run import run_fleet
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_parameter_request
@@ -191,8 +192,8 @@ async def test_robot_that_differs_from_the_locked_robot_is_not_locked() -> None:
             assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
-async def test_a_robot_that_drives_and_announces_its_topics_without_its_odometry_again_and_again_is_stopped() -> None:
-    """A device without odometry is not a robot: a client could not stop it."""
+async def test_a_robot_that_drives_and_announces_its_topics_without_its_velocity_again_and_again_is_stopped() -> None:
+    """A device that takes no velocity is not a robot: a client could not stop it."""
 
     async def drive() -> None:
         robot = host.hub.robots.find("robot_0")
@@ -212,7 +213,7 @@ async def test_a_robot_that_drives_and_announces_its_topics_without_its_odometry
         link.wake()
         for _ in range(MAX_MISSED):
             assert not driving.done()
-            await device.announce(robot_topics()[1:])
+            await device.announce([each for each in robot_topics() if each.topic_id != 100])
         await driving
         last = (0.1, 0.0)
         with contextlib.suppress(TimeoutError):
@@ -234,6 +235,32 @@ async def test_a_host_is_ready_again_when_a_robot_that_left_is_forgotten() -> No
         await expect(lambda: host.hub.robots.forgotten == 1)
         assert (await host.rest("GET", "/readyz"))[0] == 200
         assert [robot["name"] for robot in (await host.get("/api/robots"))["robots"]] == ["robot_1"]
+
+
+@pytest.mark.parametrize("kinematics", DRIVES)
+async def test_simulated_robot_of_another_drive_moves_as_it_can_and_stops(kinematics: str) -> None:
+    has_y = DRIVES[kinematics].has_y
+    wanted = PlanarVelocity(0.2, 0.1 if has_y else 0.0, 0.2)
+    config = Config(robots={"robot_0": RobotConfig(kinematics=kinematics)})  # type: ignore[arg-type]
+    async with daemon(config) as host, asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(run_fleet(*host.tcp, robots=1, kinematics=kinematics))
+        await expect(lambda: len(host.hub.robots.all()) == 1 and host.hub.robots.find("robot_0").odometry.count > 2)
+        robot = host.hub.robots.find_here("robot_0")
+
+        def measured() -> PlanarVelocity:
+            return robot.odometry.snapshot(asyncio.get_running_loop().time()).twist
+
+        def is_driven() -> bool:
+            drive_gate(robot, wanted, owner="test")
+            return measured() == pytest.approx(wanted, abs=1e-6)
+
+        await expect(is_driven)
+        await expect(lambda: measured().is_zero)  # the lease ends
+        if not has_y:
+            with pytest.raises(CommandRefused) as refused:
+                drive_gate(robot, PlanarVelocity(0.2, 0.1), owner="test")
+            assert refused.value.kind is RefusalKind.UNSUPPORTED
+        running.cancel()
 
 
 async def test_a_simulated_fleet_of_one_name_is_a_fleet() -> None:

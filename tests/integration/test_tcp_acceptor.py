@@ -7,6 +7,8 @@ from collections.abc import AsyncIterator
 from structlog.testing import capture_logs
 
 from hostlink.config import Config, TcpConfig
+from hostlink.log_budget import LOG_INTERVAL_S
+from hostlink.loop_time import loop_time_s
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.waiting import expect
@@ -43,6 +45,7 @@ async def test_a_silent_crowd_does_not_keep_a_robot_out() -> None:
     """The crowd connects from a single address, or from many."""
     config = Config(tcp=TcpConfig(max_connections=20, max_connections_per_address=15))
     with capture_logs() as lines:
+        began_s = loop_time_s()
         async with daemon(config) as host, silent_connections(host.tcp, 300, local_host=CROWD):
             await expect(lambda: host.hub.counts.refused["too_many_of_address"] == 285)
             async with silent_connections(host.tcp, 15, local_host="127.0.0.4"):
@@ -54,7 +57,7 @@ async def test_a_silent_crowd_does_not_keep_a_robot_out() -> None:
                     assert host.hub.counts.refused == {"too_many_of_address": 285, "too_many": 5, "evicted": 6}
                     assert host.hub.robots.find("robot_0").link is not None
     reported = [line for line in lines if line["event"] == "connection.refused"]
-    assert len(reported) == 1  # not one for each
+    assert 1 <= len(reported) <= 1 + (loop_time_s() - began_s) / LOG_INTERVAL_S  # not one for each
     assert reported[0]["cause"] == "too_many_of_address"
 
 

@@ -26,24 +26,22 @@ TICK_S = 0.125  # every time is a multiple, so that no sum is rounded
 
 @dataclass
 class Heard:
-    """Commands of one source since it joined."""
+    """Commands of one source since it joined, or has last let go."""
 
-    commanded_s: list[float] = field(default_factory=list)  # of every non-zero command since the last zero
-    interrupted_s: float | None = None  # the last interruption that met it while it was commanding
-    has_seen: bool = False  # its last command had the current epoch
+    commanded_s: dict[str, float] = field(default_factory=dict)  # by topic: the newest non-zero command since a zero
+    was_interrupted: bool = False  # while it was commanding
     has_missed: bool = False  # its last command had another epoch, or came before an interruption
+    was_taken_over: bool = False
     held_until_s: float = float("-inf")
     priority: int = 0
     has_lost_device: bool = False  # it was commanding when the device left
 
-    def is_armed(self, now_s: float) -> bool:
-        """Whether it has let go, or has seen the interruption, since the last one."""
-        if self.interrupted_s is None and not self.has_missed:
-            return True
-        times = [self.interrupted_s, *self.commanded_s] if self.interrupted_s is not None else list(self.commanded_s)
-        since = [at_s for at_s in times if at_s is not None and at_s <= now_s]
-        gaps = [after - before for before, after in zip(since, [*since[1:], now_s], strict=True)]
-        return self.has_seen or any(gap >= LEASE_S for gap in gaps)
+    @property
+    def last_s(self) -> float:
+        return max(self.commanded_s.values(), default=float("-inf"))
+
+    def has_let_go(self, now_s: float) -> bool:
+        return now_s >= self.last_s + LEASE_S
 
 
 class Drive(NamedTuple):
@@ -91,6 +89,7 @@ class History(RuleBasedStateMachine):
         stamp_age_s=st.sampled_from([None, 1.0, 2.0]),
         velocity=st.sampled_from([FORWARD, FORWARD, SIDEWAYS, IN_PLACE, ZERO]),
         is_planar=st.sampled_from([True, True, True, False]),
+        take_over=st.booleans(),
     )
     def source_drives(
         self,
@@ -102,6 +101,7 @@ class History(RuleBasedStateMachine):
         stamp_age_s: float | None,
         velocity: PlanarVelocity,
         is_planar: bool,
+        take_over: bool,
     ) -> None:
         if velocity.is_zero:
             is_planar = False  # else it would be a zero
@@ -113,8 +113,12 @@ class History(RuleBasedStateMachine):
         waited_s = waited * TICK_S
         holders = {other for other, each in self.sources.items() if other != owner and self.now_s < each.held_until_s}
         strongest = max((self.sources[other].priority for other in holders), default=0)
-        if heard.is_armed(self.now_s):
-            heard.interrupted_s, heard.has_missed, heard.commanded_s = None, False, []
+        drive = self.drives.get(topic)
+        if drive is not None and (drive.source == owner or self.now_s >= drive.at_s + LEASE_S):
+            drive = None
+        if heard.has_let_go(self.now_s):
+            heard.was_interrupted = heard.has_missed = heard.was_taken_over = False
+            heard.commanded_s = {}
         if seen == 0 or (seen is None and self.now_s - waited_s < self.stopped_s - UNORDERED_S):
             heard.has_missed = True
         expected = None
@@ -128,20 +132,26 @@ class History(RuleBasedStateMachine):
             expected = RefusalKind.LATE
         else:
             if seen is not None:
-                heard.has_seen, heard.has_missed = bool(seen), not seen
-                heard.interrupted_s = None if seen else heard.interrupted_s
-            if not seen and (heard.has_missed or not heard.is_armed(self.now_s)):
+                heard.has_missed = not seen
+                heard.was_interrupted &= not seen
+            may_take_over = take_over and not heard.was_taken_over
+            if heard.has_missed or heard.was_interrupted:
                 expected = RefusalKind.DISARMED
-            elif priority < strongest:
+            elif priority < strongest or (drive is not None and drive.priority >= priority + may_take_over):
                 expected = RefusalKind.HELD
-        heard.has_seen = False
-        heard.commanded_s.append(self.now_s)
+            elif heard.was_taken_over:
+                expected = RefusalKind.DISARMED
+        heard.commanded_s[topic] = self.now_s
         received_s = self.now_s - waited_s
-        command = Command(velocity, owner, priority, received_s, None, epoch, stamp_age_s, is_planar)
+        command = Command(velocity, owner, priority, received_s, None, epoch, stamp_age_s, is_planar, take_over)
         decision = self.admission.decide(command, self.now_s, topic=topic)
         assert decision.kind is expected
-        assert decision.holder in holders | {None}
+        assert (decision.holder is not None) == (expected is RefusalKind.HELD)
+        assert decision.holder in holders | {None, drive.source if drive is not None else None}
         if decision.is_admitted:
+            if drive is not None and drive.priority == priority:  # taken over: all that it drove ends
+                self.sources[drive.source].was_taken_over = True
+                self.drives = {by: each for by, each in self.drives.items() if each.source != drive.source}
             heard.held_until_s, heard.priority = self.now_s - waited_s + LEASE_S, priority
             self.drives[topic] = Drive(owner, self.now_s - waited_s, priority)
             self.drives = {
@@ -151,20 +161,38 @@ class History(RuleBasedStateMachine):
                 if other != owner:
                     each.held_until_s = self.driven_until_s(other)
 
-    @rule(owner=OWNERS, priority=PRIORITIES, topic=TOPICS, waited=st.integers(0, 2), has_seen=st.booleans())
-    def source_drives_in_time(self, owner: str, priority: int, topic: str, waited: int, *, has_seen: bool) -> None:
+    @rule(
+        owner=OWNERS,
+        priority=PRIORITIES,
+        topic=TOPICS,
+        waited=st.integers(0, 2),
+        has_seen=st.booleans(),
+        take_over=st.booleans(),
+    )
+    def source_drives_in_time(
+        self, owner: str, priority: int, topic: str, waited: int, *, has_seen: bool, take_over: bool
+    ) -> None:
         """Give a command that most states admit: few of the commands with everything drawn are admitted."""
         seen = 1 if has_seen else None
-        self.source_drives(owner, priority, topic, waited, seen, None, FORWARD, is_planar=True)
+        self.source_drives(owner, priority, topic, waited, seen, None, FORWARD, is_planar=True, take_over=take_over)
+
+    @rule(owner=OWNERS, topic=TOPICS, take_over=st.booleans(), has_seen=st.booleans())
+    def equal_drives(self, owner: str, topic: str, *, take_over: bool, has_seen: bool) -> None:
+        """Give a command of the priority of most programs: with drawn ones, few sources are equal."""
+        seen = 1 if has_seen else None
+        self.source_drives(owner, 50, topic, 0, seen, None, FORWARD, is_planar=True, take_over=take_over)
 
     @rule(owner=OWNERS, topic=TOPICS)
     def source_lets_go(self, owner: str, topic: str) -> None:
         driver = self.admission.driver(topic, self.now_s)
         decision = self.admission.decide(Command(ZERO, owner, 50, self.now_s), self.now_s, topic=topic)
-        held = self.sources.pop(owner, Heard())
+        heard = self.sources.setdefault(owner, Heard())
         if topic in self.drives and self.drives[topic].source == owner:
             del self.drives[topic]
-        self.sources[owner] = Heard(held_until_s=self.driven_until_s(owner), priority=held.priority)
+        heard.held_until_s = self.driven_until_s(owner)
+        heard.commanded_s.pop(topic, None)
+        if heard.has_let_go(self.now_s):
+            self.sources[owner] = Heard(held_until_s=heard.held_until_s, priority=heard.priority)
         if not self.is_connected:
             assert decision.kind is RefusalKind.NOT_CONNECTED
         else:
@@ -179,9 +207,11 @@ class History(RuleBasedStateMachine):
     def interruption(self, since_s: float) -> None:
         self.drives.clear()
         for heard in self.sources.values():
-            last_s = max(heard.commanded_s, default=float("-inf"))
-            if heard.has_lost_device or since_s < last_s + LEASE_S:
-                heard.interrupted_s, heard.commanded_s, heard.has_missed = self.now_s, [self.now_s], False
+            commanding = [
+                topic for topic, at_s in heard.commanded_s.items() if heard.has_lost_device or since_s < at_s + LEASE_S
+            ]
+            if commanding:
+                heard.was_interrupted, heard.commanded_s = True, dict.fromkeys(commanding, self.now_s)
 
     @rule(event=st.sampled_from(["stop", "pause", "lock", "unlock", "connect", "disconnect"]), ticks=st.integers(5, 40))
     def robot_is_interrupted(self, event: str, ticks: int) -> None:
@@ -215,7 +245,7 @@ class History(RuleBasedStateMachine):
                 self.drives.clear()
                 self.drop_holds()
                 for heard in self.sources.values():
-                    heard.has_lost_device |= self.now_s < max(heard.commanded_s, default=float("-inf")) + LEASE_S
+                    heard.has_lost_device |= not heard.has_let_go(self.now_s)
         if is_one:
             self.interruption(self.now_s)
         if event == "connect":

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.guardian.frames import stop_sequence
+from hostlink.guardian.frames import LEAD, stop_sequence
 from hostlink.protocol.frame import STOP_REQUEST, SYNC, encode
 from tests.support.ros_lib_reader import RosLibReader
 
@@ -112,14 +112,15 @@ def first_zeros(zeros: dict[int, bytes], claim_bytes: int) -> bytes:
 
 
 @pytest.mark.parametrize("topic_ids", [(100,), (255,), (256,), (511,), (100, 107), (255, 511, 256), range(100, 116)])
-@pytest.mark.parametrize("sizes", [(48,), (0,), (4,), (92, 48), (12, 4, 131, 0, 600)], ids=str)
+@pytest.mark.parametrize("sizes", [(48,), (0,), (2,), (4,), (92, 48), (12, 4, 131, 0, 600)], ids=str)
 def test_every_endpoint_is_zeroed_after_a_frame_that_is_never_given_up(
     topic_ids: tuple[int, ...], sizes: tuple[int, ...]
 ) -> None:
     """The cases include ids and checksums of FF, which a device between frames takes for a sync."""
     zeros = {each: bytes(size) for each, size in zip(topic_ids, itertools.cycle(sizes), strict=False)}
-    for cut in range(1, len(LONG)):
-        assert set(obeyed(LONG[:cut], zeros, BUFFER_BYTES)) == set(topic_ids), cut
+    for whole in (LONG, encode(99, bytes(2)), encode(99, bytes(255)), encode(99, bytes(258))):
+        for cut in range(1, len(whole)):
+            assert set(obeyed(whole[:cut], zeros, BUFFER_BYTES)) == set(topic_ids), cut
 
 
 # Floats and integers that a command at rest may have, text, and bytes that look like the beginning of a frame.
@@ -157,10 +158,10 @@ def test_any_zeros_are_obeyed_after_a_cut_frame_that_is_never_given_up(
     cut = data.draw(st.integers(1, len(whole) - 1))
     found = obeyed(whole[:cut], stops, len(whole))
     assert set(found) == set(stops)
-    if cut >= LENGTH_BYTES:  # before, the length is read from the zeros, and is rejected
+    if cut >= LENGTH_BYTES:  # before, the length is read from the 00 before the zeros
         first = first_zeros(stops, len(whole))
         sizes = itertools.cycle([len(encode(*stop)) + 1 for stop in stops.items()])
-        starts = itertools.takewhile(lambda at: at < len(first), itertools.accumulate(sizes, initial=0))
+        starts = itertools.takewhile(lambda at: at < len(first), itertools.accumulate(sizes, initial=len(LEAD)))
         hidden_bytes = len(whole) - cut
         assert found == [each for each, at in zip(itertools.cycle(stops), starts, strict=False) if at >= hidden_bytes]
 

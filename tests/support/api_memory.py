@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import json
 import tempfile
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,14 @@ from tests.support.scripted_device import ScriptedDevice
 MASK = b"\x0f\xf0\x55\xaa"
 
 
+def text_frame(**fields: Any) -> bytes:
+    """Encode a WebSocket message, masked as of a client."""
+    data = json.dumps(fields).encode()
+    masked = bytes(byte ^ MASK[index % 4] for index, byte in enumerate(data))
+    head = bytes((0x81, 0x80 | len(data))) if len(data) < 126 else b"\x81\xfe" + len(data).to_bytes(2, "big")
+    return head + MASK + masked
+
+
 class FakeSocket:
     """The socket of a transport, for its options."""
 
@@ -42,6 +50,7 @@ class ApiTransport(asyncio.Transport):
         self.written = bytearray()
         self.has_written = asyncio.Event()
         self.is_closed = self.is_paused = False
+        self.on_resumed: Callable[[], None] = lambda: None
         self.protocol: asyncio.BaseProtocol
 
     def get_protocol(self) -> asyncio.BaseProtocol:
@@ -65,6 +74,7 @@ class ApiTransport(asyncio.Transport):
 
     def resume_reading(self) -> None:
         self.is_paused = False
+        self.on_resumed()
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         """Accept any limits: nothing is buffered."""
@@ -92,12 +102,33 @@ class ApiPeer:
         self.transport = ApiTransport(peer)
         self.reading = PacedReading(api.make_protocol(), api.hub, api.server.listener.connections, connection)
         self.transport.protocol = self.reading
+        self.transport.on_resumed = self._expect_read
+        self.unread = bytearray()  # arrived, and not read yet
+        self._is_read_due = False
         self.reading.connection_made(self.transport)
 
     def send(self, data: bytes) -> None:
-        """Let bytes arrive at once."""
-        self.reading.get_buffer(-1)[: len(data)] = data
-        self.reading.buffer_updated(len(data))
+        """Let bytes arrive at once. They are read in one turn of the loop each, as far as they fit one read."""
+        self.unread += data
+        if not self._is_read_due:
+            self._read()
+
+    def _expect_read(self) -> None:
+        if self.unread and not self._is_read_due:
+            self._is_read_due = True
+            asyncio.get_running_loop().call_soon(self._read)
+
+    def _read(self) -> None:
+        self._is_read_due = False
+        if not self.unread or self.transport.is_paused or self.transport.is_closed:
+            return
+        buffer = self.reading.get_buffer(-1)
+        count = min(len(buffer), len(self.unread))
+        buffer[:count] = self.unread[:count]
+        del self.unread[:count]
+        self.reading.buffer_updated(count)
+        if not self.transport.is_paused:
+            self._expect_read()
 
     def send_head(self, method: str, path: str, headers: Mapping[str, str]) -> None:
         """Let the head of a request arrive."""
@@ -105,11 +136,8 @@ class ApiPeer:
         self.send("\r\n".join(lines).encode())
 
     def send_text(self, **fields: Any) -> None:
-        """Let a WebSocket message arrive, masked as of a client."""
-        data = json.dumps(fields).encode()
-        masked = bytes(byte ^ MASK[index % 4] for index, byte in enumerate(data))
-        head = bytes((0x81, 0x80 | len(data))) if len(data) < 126 else b"\x81\xfe" + len(data).to_bytes(2, "big")
-        self.send(head + MASK + masked)
+        """Let a WebSocket message arrive."""
+        self.send(text_frame(**fields))
 
     def send_close(self) -> None:
         """Let the frame arrive that ends a WebSocket."""

@@ -46,6 +46,7 @@ from hostlink.graphs.zenoh.rmw_protocol import (
 from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
+from hostlink.hub.robot_topic_publisher import twist_topic
 from hostlink.mirror.log_once import LogOnce
 from hostlink.protocol.frame import Id, encode
 from hostlink.recording.channel import VELOCITY, ros_channel
@@ -65,7 +66,8 @@ VELOCITY_COMMANDS = f"/{ROBOT}/velocity_commands"  # as the device itself names 
 _NO_NAN = "its JSON has no number for it, and the request is refused as wrong"
 _EPOCHS = ("the current epoch arms", "an earlier epoch is refused")
 _SIDEWAYS = ("y is passed and limited", "y is refused for a differential drive")
-_PUBLISHED = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
+TAKES_OVER = "take_over takes the robot over from one of the same priority"
+_PUBLISHED = dict.fromkeys(_EPOCHS, "a Twist has no epoch") | {TAKES_OVER: "a Twist does not say so"}
 _IS_DROPPED = dict.fromkeys(
     (
         "a stream from before a new robot is disarmed",
@@ -81,9 +83,11 @@ class EntryPoint:
     cannot: ClassVar[dict[str, str]] = {}
     goes_on: ClassVar[bool] = True
     period_s: ClassVar[float] = 0.1
+    priority: ClassVar[int] = 50
 
     def __init__(self, made: Scene) -> None:
         self.made = made
+        self.take_over = False
         self.late_s = 0.0  # by which its commands are older than they seem, from now on
         self._stream: asyncio.Task[None] | None = None
 
@@ -191,6 +195,7 @@ class RosbridgeDrive(_Rosbridge):
             json.dumps(
                 {"op": "drive", "id": 1, "robot": ROBOT, "linear": speed_m_s, "angular": 0.0, "sent_s": sent_s}
                 | ({"linear_y": left_m_s} if left_m_s else {})
+                | ({"take_over": True} if self.take_over else {})
                 | ({} if epoch is None else {"epoch": epoch})
             )
         )
@@ -202,6 +207,7 @@ class Page(_Rosbridge):
     """The messages of the page, as its connection.ts and drive.ts make them, for a stick that is held."""
 
     period_s: ClassVar = 0.08
+    priority: ClassVar = 60
     cannot: ClassVar = dict.fromkeys(_EPOCHS, "it sends the number of the device's connection instead") | {
         "a stream from before a new robot is disarmed": "it shows no robot that is not there",
         "a velocity that is not finite": _NO_NAN,
@@ -219,6 +225,7 @@ class Page(_Rosbridge):
         assert not left_m_s
         came_s, link = _now_s(), self.link if speed_m_s else None
         command = {"robot": ROBOT, "linear": speed_m_s, "angular": 0, "priority": 60, "link": link}
+        command["take_over"] = self.take_over
         message = {"op": "drive", "id": "drive", **command, "sent_s": 5.5 + came_s - self.late_s}
         self.client.receive(json.dumps(message), came_s)
         for _ in iter(self.queue.pop, None):
@@ -240,9 +247,8 @@ class RestPut(EntryPoint):
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         request = make_mocked_request("PUT", f"/api/robots/{ROBOT}/velocity", match_info={"name": ROBOT})
-        body = {"linear": speed_m_s, "linear_y_m_s": left_m_s, "angular": 0.0} | (
-            {} if epoch is None else {"epoch": epoch}
-        )
+        body: dict[str, object] = {"linear": speed_m_s, "linear_y_m_s": left_m_s, "angular": 0.0}
+        body |= {"take_over": self.take_over} | ({} if epoch is None else {"epoch": epoch})
         request[BODY], request[CAME] = json.dumps(body).encode(), _now_s() - self.late_s
         request[GRANT] = Grant("phone", Role.DRIVE)
         await self._route.handler(request)
@@ -306,7 +312,7 @@ class _Program(EntryPoint):
 
 class ClientCommand(_Program):
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
-        await self.robot.command(speed_m_s, 0.0, left_m_s, epoch=epoch)
+        await self.robot.command(speed_m_s, 0.0, left_m_s, epoch=epoch, take_over=self.take_over)
 
 
 class ClientDrive(_Program):
@@ -324,7 +330,7 @@ class ClientDrive(_Program):
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        await self.robot.drive(speed_m_s, 0.0, left_m_s)
+        await self.robot.drive(speed_m_s, 0.0, left_m_s, take_over=self.take_over)
 
     def silence(self) -> None:
         """Stop repeating, as a program that hangs."""
@@ -338,8 +344,9 @@ class Teleop(_Program):
     goes_on: ClassVar = False  # what is refused must be released, but for one who is more important
     cannot: ClassVar = _IS_DROPPED | {
         **dict.fromkeys(_EPOCHS, "a key has no epoch; the client sends it"),
+        TAKES_OVER: "its stop key stops the other one, and then it drives",
         "a velocity that is not finite": "its speeds are steps from a finite one",
-        **dict.fromkeys(_SIDEWAYS, "it has no keys for it"),
+        **dict.fromkeys(_SIDEWAYS, "its keys go sideways at the speed of forward"),
     }
 
     def _begin(self) -> None:
@@ -373,6 +380,7 @@ class Play(_Program):
             "a zero of another changes nothing",
             "a velocity that is not finite",
             "a lower priority goes on afterwards",
+            TAKES_OVER,
         ),
         "it gives what was recorded, and ends when that is refused",
     )
@@ -419,7 +427,7 @@ class Play(_Program):
 class RclpyBridge(EntryPoint):
     """`hostlink ros2`: what a publisher of ROS 2 sends, after rclpy has received it."""
 
-    cannot: ClassVar = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
+    cannot: ClassVar = _PUBLISHED
 
     async def begin(self) -> None:
         self.hosts: list[MemoryHost] = []
@@ -538,7 +546,15 @@ class Fleet(EntryPoint):
         self._driver = FleetDriver(self.made)
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
-        self._driver.drive(ROBOT, speed_m_s, self.made.hub, left_m_s=left_m_s, late_s=self.late_s, epoch=epoch)
+        self._driver.drive(
+            ROBOT,
+            speed_m_s,
+            self.made.hub,
+            left_m_s=left_m_s,
+            late_s=self.late_s,
+            epoch=epoch,
+            take_over=self.take_over,
+        )
 
     async def vanish(self) -> None:
         self._driver.vanish()
@@ -555,7 +571,7 @@ class FleetPublisher(Fleet):
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         self._driver.publish(
-            self.made.hub.robots.find_here(ROBOT).shown.velocity, PlanarVelocity(speed_m_s, left_m_s).encode()
+            twist_topic(self.made.hub.robots.find_here(ROBOT)), PlanarVelocity(speed_m_s, left_m_s).encode()
         )
 
 
@@ -585,7 +601,14 @@ class FleetSender(EntryPoint):
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         participant, velocity = self.participant, PlanarVelocity(speed_m_s, left_m_s)
         robot = self.hub.robots.find(ROBOT, driver=lambda: participant)
-        participant.drive(robot, velocity, priority=PRIORITY, received_s=_now_s() - self.late_s, epoch=epoch)
+        participant.drive(
+            robot,
+            velocity,
+            priority=PRIORITY,
+            received_s=_now_s() - self.late_s,
+            epoch=epoch,
+            take_over=self.take_over,
+        )
         await participant.driven(robot, velocity)
 
     async def vanish(self) -> None:
@@ -601,7 +624,7 @@ class FleetSender(EntryPoint):
 class FleetSenderPublish(FleetSender):
     """FleetSender that publishes to a topic of the robot."""
 
-    cannot: ClassVar = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
+    cannot: ClassVar = _PUBLISHED
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
@@ -648,6 +671,8 @@ class UdpPublisher(DevicePublisher):
 class Demo(EntryPoint):
     """The driver of `hostlink demo`."""
 
+    priority: ClassVar = 0
+    goes_on: ClassVar = False  # it pauses
     cannot: ClassVar = dict.fromkeys(
         (
             *_EPOCHS,
@@ -656,6 +681,7 @@ class Demo(EntryPoint):
             "a zero of another changes nothing",
             "a velocity that is not finite",
             *_SIDEWAYS,
+            TAKES_OVER,
         ),
         "it gives its curve, from inside of the daemon",
     ) | dict.fromkeys(

@@ -20,6 +20,8 @@ class MemoryNetwork:
         self.tokens: list[str] = []
         self.publishers: list[MemoryPublisher] = []
         self.deaf: set[str] = set()  # sessions that receive nothing
+        self.mute: set[tuple[str, str]] = set()  # sender and receiver of which nothing arrives
+        self.closed: list[tuple[str, str]] = []  # links that were closed, by whom and to whom
 
     def note_token(self, key: str, *, is_alive: bool) -> None:
         if is_alive:
@@ -51,7 +53,8 @@ class MemorySession:
     def put(self, key: str, payload: bytes, *, attachment: bytes | None = None, is_urgent: bool = False) -> None:
         del is_urgent
         for session, pattern, receive in list(self._network.subscribers):
-            if session is not self and session.zid not in self._network.deaf and pattern.fullmatch(key):
+            is_heard = session.zid not in self._network.deaf and (self.zid, session.zid) not in self._network.mute
+            if session is not self and is_heard and pattern.fullmatch(key):
                 receive(ZenohSample(key, payload, attachment or b""))
 
     def declare_publisher(self, key: str, *, kept: int = 0, **_: Any) -> "MemoryPublisher":
@@ -116,6 +119,11 @@ class MemorySession:
         if waiting:
             await asyncio.wait(waiting, timeout=timeout_s)
         return answers
+
+    def close_links(self, zid: str) -> None:
+        """Close the links to another session: Zenoh makes them anew, with all that is declared."""
+        self._network.closed.append((self.zid, zid))
+        self._network.mute.discard((zid, self.zid))
 
     def certificate_of(self, _: str) -> str:
         return ""

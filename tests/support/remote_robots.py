@@ -14,8 +14,18 @@ class RecordingHosts:
     def __init__(self) -> None:
         self.sent: list[tuple[Any, ...]] = []
 
-    def drive(self, _: object, velocity: PlanarVelocity, *, owner: object, priority: int, epoch: int | None) -> None:
-        self.sent.append(("drive", velocity, owner, priority, epoch))
+    def drive(
+        self,
+        _: object,
+        velocity: PlanarVelocity,
+        *,
+        owner: object,
+        priority: int,
+        received_s: float,  # noqa: ARG002 - as the fleet has it
+        epoch: int | None,
+        take_over: bool,
+    ) -> None:
+        self.sent.append(("drive", velocity, owner, priority, epoch, *(["take over"] if take_over else [])))
 
     def stop(self, name: str | None) -> None:
         self.sent.append(("stop", name))

@@ -84,9 +84,20 @@ async def test_a_daemon_without_a_device_has_advice() -> None:
     )
 
 
+async def test_doctor_says_which_daemon_owns_the_folder_of_recordings(tmp_path: Path) -> None:
+    settings = tmp_path / "hostlink.toml"
+    settings.write_text(f'[recording]\nfolder = "{tmp_path / "recordings"}"\n')
+    async with serve("--config", str(settings)) as first, serve("--config", str(settings)) as second:
+        reports = [(await run("doctor", "--json", "--url", daemon.url))[1] for daemon in (first, second)]
+    assert [codes(report) for report in reports] == [["no_device"], ["no_device", "recordings_taken"]]
+
+
 async def test_doctor_names_a_serial_port_that_the_daemon_cannot_open(tmp_path: Path) -> None:
     async with serve("--serial", str(tmp_path / "none")) as daemon:
-        await daemon.read_log("serial.waiting")
+        (waiting,), (started,) = daemon.lines("serial.waiting"), daemon.lines("daemon.started")
+        assert daemon.log.index(waiting) < daemon.log.index(started)
+        assert waiting["next_step"].startswith("plug the board in")
+        assert started["missing"] == [str(tmp_path / "none")]
         status, out, _ = await run("doctor", "--json", "--url", daemon.url)
     assert (status, codes(out)) == (1, ["serial_missing"])
 

@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
@@ -359,6 +359,28 @@ async def test_keys_drive_only_where_the_stick_is_visible(scene: Scene, what: st
     await scene.holds("KeyW")
 
 
+@pytest.mark.parametrize("what", [HIDES[0], *(pytest.param(each, marks=pytest.mark.long) for each in HIDES[1:])])
+async def test_gamepad_drives_only_where_the_stick_is_visible(scene: Scene, what: str) -> None:
+    state = fleet("robot_0")
+    state.incidents = [INCIDENT]
+    scene.server.show(state)
+    await open_something(scene, what)
+    await scene.tab.page.evaluate("pad.buttons[5].pressed = true")
+    await scene.tab.shows("#notice", "The gamepad drives only where the stick is visible.")
+    await expect_never(scene.commands, for_s=SENT_AGAIN_S)
+    if what == "a folded panel":
+        await open_something(scene, what)
+    elif what != "another layout":
+        await scene.tab.page.keyboard.press("Escape")
+    await scene.tab.layout("Drive")
+    await scene.tab.shows("#gamepad", "hold it again to drive")
+    await expect_never(scene.commands, for_s=SENT_AGAIN_S)
+    await scene.tab.page.evaluate("pad.buttons[5].pressed = false")
+    await scene.tab.hold_button("pad.buttons[5]", lambda: scene.is_driven("robot_0"))
+    await scene.tab.page.evaluate("pad.buttons[5].pressed = false")
+    await scene.stands()
+
+
 async def test_a_stick_that_is_covered_while_it_is_held_lets_go(scene: Scene) -> None:
     """An incident is read from the disk, so it may open while its reader drives again."""
     cover = "document.querySelector('main').append(Object.assign(document.createElement('p'), { id: 'cover' }))"
@@ -366,6 +388,10 @@ async def test_a_stick_that_is_covered_while_it_is_held_lets_go(scene: Scene) ->
     for hold, release in (
         (lambda: scene.holds("KeyW"), lambda: scene.tab.page.keyboard.up("KeyW")),
         (lambda: scene.tab.drag_stick(0, 60, lambda: scene.is_driven("robot_0")), scene.tab.page.mouse.up),
+        (
+            lambda: scene.tab.hold_button("pad.buttons[5]", lambda: scene.is_driven("robot_0")),
+            lambda: scene.tab.page.evaluate("pad.buttons[5].pressed = false"),
+        ),
     ):
         await hold()
         await scene.tab.page.evaluate(f"() => {{ {cover}; document.querySelector('#cover').style = '{style}'; }}")
@@ -643,16 +669,27 @@ async def test_a_lock_of_which_no_event_tells_must_be_followed_by_another_press(
     await page.keyboard.up("KeyW")
 
 
+def take_overs(scene: Scene) -> Iterator[bool]:
+    """Whether each command takes the robot over, of those that are not zero."""
+    return (each["take_over"] for each in scene.server.published if each["op"] == "drive" and each["linear"])
+
+
 @pytest.mark.long
-async def test_two_who_hold_the_stick_at_once_are_told_so(scene: Scene) -> None:
-    """The daemon obeys the newest command of one priority: each of two tabs would show that it drives."""
+async def test_page_that_is_held_by_another_page_shows_who_and_takes_over_by_its_button(scene: Scene) -> None:
+    page, server = scene.tab.page, scene.server
+    button = page.get_by_role("button", name="Take over")
+    server.show(fleet("robot_0", holder="client 2", priority=50))
+    await scene.tab.shows("#drive-state", "your stick takes over")  # from a program, as ever
+    assert not await button.is_visible()
+    server.show(fleet("robot_0", holder="client 2", priority=60))
+    await scene.tab.shows("#drive-state", "client 2 drives until it lets go")
+    await button.click()
+    await scene.tab.shows("#drive-state", "client 2 drives: hold the stick to take over")
+    assert not await button.is_visible()
     await scene.holds("KeyW")
-    scene.server.show(fleet("robot_0", holder="client 1", priority=60))
-    await scene.tab.shows("#drive-state", "You drive")
-    scene.server.show(fleet("robot_0", holder="client 2", priority=60))
-    await scene.tab.shows("#drive-state", "Another client drives it too")
-    await scene.tab.shows("#drive-state", "You drive")  # the other one has let go
-    await scene.tab.page.keyboard.up("KeyW")
+    await expect(lambda: [*take_overs(scene)][:1] == [True])
+    await expect(lambda: not [*take_overs(scene)][-1])  # it was accepted
+    await page.keyboard.up("KeyW")
 
 
 @pytest.mark.long

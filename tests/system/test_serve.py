@@ -55,7 +55,8 @@ async def test_a_serial_device_does_the_same() -> None:
         asyncio.TaskGroup() as tasks,
     ):
         running = tasks.create_task(run_over_streams(robot, reader, writer))
-        appeared = await daemon.read_log("robot.appeared")
+        assert daemon.lines("daemon.started")[0]["serial"] == [path]
+        appeared = await daemon.logged("robot.appeared")
         assert appeared["peer"] == path
         while robot.world.odometry.x_m < 0.05:
             await drive(daemon.url, 0.3, 0.0)

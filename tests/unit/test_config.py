@@ -1,11 +1,15 @@
 """hostlink.toml: accepted settings, and the errors of others."""
 
+import dataclasses
+import re
+import typing
 from pathlib import Path
 
 import pytest
 
-from hostlink.config import Config, RobotConfig, SerialConfig, load
+from hostlink.config import Config, EncodersConfig, RobotConfig, SerialConfig, Unit, load
 from hostlink.errors import ConfigError
+from hostlink.robot.wheel_feedback import UNITS, WheelSettings
 
 
 def write(folder: Path, text: str) -> Path:
@@ -118,3 +122,55 @@ def test_a_path_that_cannot_be_read_is_refused_with_its_place(tmp_path: Path, va
     file.write_text(f"[recording]\nfolder = {value}\n")
     with pytest.raises(ConfigError, match=rf"{problem}.* - at `\$\.recording\.folder`"):
         load(file)
+
+
+# -- feedback of a robot ----------------------------------------------------------------------------------------------
+
+
+def test_encoders_of_a_robot_are_read(tmp_path: Path) -> None:
+    text = """
+    [robots.car]
+    kinematics = "differential"
+    [robots.car.encoders]
+    topics = ["left_ticks", "right_ticks"]
+    directions = [1, -1]
+    ticks_per_turn = 1440
+    wheel_radius_m = 0.0325
+    """
+    path = tmp_path / "hostlink.toml"
+    path.write_text(text)
+    encoders = load(path).robots["car"].encoders
+    assert encoders == EncodersConfig(
+        topics=("left_ticks", "right_ticks"), directions=(1, -1), ticks_per_turn=1440, wheel_radius_m=0.0325
+    )
+
+
+def test_encoders_are_the_settings_of_the_wheel_feedback() -> None:
+    assert WheelSettings(**dataclasses.asdict(EncodersConfig(topic="t"))) == WheelSettings(topic="t")
+    assert set(typing.get_args(Unit)) == set(UNITS)
+
+
+@pytest.mark.parametrize(
+    ("lines", "problem"),
+    [
+        ("[robots.a.encoders]", "either topics"),
+        ('[robots.a.encoders]\ntopics = ["l"]\ntopic = "t"', "either topics"),
+        ('[robots.a.encoders]\ntopics = ["l", "l"]', "different names"),
+        ('[robots.a.encoders]\ntopics = ["l", "r"]\nwheels = ["left"]', "one entry for each wheel"),
+        (
+            '[robots.a.encoders]\ntopic = "t"\nticks_per_turn = 0',
+            "ticks_per_turn must be a finite number above zero, not 0",
+        ),
+        ('[robots.a.encoders]\ntopic = "t"\nwheel_radius_m = nan', "wheel_radius_m must be a finite number above zero"),
+        ('[robots.a.encoders]\ntopic = "t"\ndirections = [1, 2]', "directions"),
+        ('[robots.a.encoders]\ntopic = "t"\nunit = "km/h"', "unit"),
+        ('[robots.a.encoders]\ntopic = "t"\nunit = "rpm"\ncounts = "differences"', "does not fit unit"),
+        ('[robots.a.encoders]\ntopic = "t"\nticks = 3', "unknown key robots.a.encoders.ticks"),
+        ('[robots.a.encoders]\ntopic = "t"\n[robots.a.feedback]\ntopic = "o"', "either encoders or feedback.topic"),
+    ],
+)
+def test_encoders_that_are_wrong_are_refused_with_their_reason(tmp_path: Path, lines: str, problem: str) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_text(lines)
+    with pytest.raises(ConfigError, match=re.escape(problem)):
+        load(path)

@@ -77,7 +77,7 @@ class FleetStates:
         known = (topics, *(msgspec.structs.replace(each, **_UNSTEADY) for each in states))
         if now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known:
             self._due_s, self._known = now_s + STATE_INTERVAL_S, known
-            self._states.put(encode(State(sent_s=now_s, topics=topics, robots=states)))
+            self._states.put(encode(State(sent_s=self._transport.clock_s(now_s), topics=topics, robots=states)))
         elif self._is_live:
             self._send_motions(states)
 
@@ -105,7 +105,8 @@ class FleetStates:
     def end(self) -> None:
         """Tell the other daemons that this one ends, which stops its robots."""
         last = tuple(msgspec.structs.replace(each, link=None, holder=None) for each in self.states())
-        self._states.put(encode(State(sent_s=loop_time_s(), topics=self._topics, robots=last, is_last=True)))
+        sent_s = self._transport.clock_s(loop_time_s())
+        self._states.put(encode(State(sent_s=sent_s, topics=self._topics, robots=last, is_last=True)))
 
     def close(self) -> None:
         """Withdraw both publishers."""
@@ -282,7 +283,8 @@ class Fleet:
         counts: Counter[str] = Counter()
         hub.counts.graphs["fleet"] = lambda: counts
         me = Sender(config.name or sender_name(socket.gethostname()), session.zid)
-        self._hub, self._transport = hub, FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers)
+        self._hub = hub
+        self._transport = FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers, hub.slept_s)
         self._roster = FleetRoster(counts, forget_after_s=hub.config.link.forget_robot_after_s)
         self._states = FleetStates(hub, self._transport)
         self._drivers = FleetDrivers(hub, self._transport, self._roster)
@@ -356,6 +358,8 @@ class Fleet:
         self._robots.apply(self._names_here())
         self._robots.follow(now_s)
         self._tell_unheard()
+        for sender in self._roster.pop_stuck(now_s):
+            self._relink(sender)
         if self._dropped != transport.session.counts["dropped"] and now_s >= self._found_at_s + FIND_INTERVAL_S:
             self._find_daemons(now_s)  # what was dropped may have been a token
 
@@ -375,6 +379,16 @@ class Fleet:
         else:
             text = "every host of the fleet is heard again"
         self._hub.rosout.warn("fleet", text)
+
+    def _relink(self, sender: Sender) -> None:
+        """Close the links to a daemon that has a token and sends nothing: Zenoh connects again.
+
+        After a freeze of a host, Zenoh may take a new link for one of the earlier connection. It then sends no
+        declarations over it, so that the other daemon never learns who subscribes here.
+        """
+        self._transport.counts["relinked"] += 1
+        log.warning("fleet.silent_link_closed", host=printable(sender.name), zid=printable(sender.zid))
+        self._transport.session.close_links(sender.zid)
 
     def _names_here(self) -> set[str]:
         """Return robots here whose name another daemon has too: one of them may have connected or left."""

@@ -150,7 +150,12 @@ class FleetDrivers:
         received_s = loop_time_s() - neighbour.freshness.late_s(request.sent_s, loop_time_s())
         participant = self._participant(neighbour, request.owner, request.owner_name)
         limited = participant.drive(
-            robot, velocity, priority=request.priority, received_s=received_s, epoch=request.epoch
+            robot,
+            velocity,
+            priority=request.priority,
+            received_s=received_s,
+            epoch=request.epoch,
+            take_over=request.take_over,
         )
         return FleetAnswer(number=request.number, velocity=limited.twist, epoch=robot.admission.epoch)
 
@@ -212,6 +217,7 @@ class _Command:
     number: int
     neighbour: Neighbour
     robot: RemoteRobot
+    owner: Hashable
     sent_at_s: float
     answer: FleetAnswer | None = None
     is_answered: asyncio.Event = field(default_factory=asyncio.Event)
@@ -245,9 +251,17 @@ class FleetRequests:
     # -- RobotHosts ---------------------------------------------------------------------------------------------------
 
     def drive(
-        self, robot: RemoteRobot, velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
+        self,
+        robot: RemoteRobot,
+        velocity: PlanarVelocity,
+        *,
+        owner: Hashable,
+        priority: int,
+        received_s: float,
+        epoch: int | None,
+        take_over: bool,
     ) -> None:
-        """Send a command of an owner.
+        """Send a command of an owner. It is as old there as here, and older by its way.
 
         Raises:
             HostlinkError: the previous command was refused, and its sender does not know it yet.
@@ -261,20 +275,21 @@ class FleetRequests:
         neighbour.unanswered_since_s = min(neighbour.unanswered_since_s, now_s)
         if owner not in self._owners:
             self._owners[owner] = next(self._owner_numbers)
-        command = _Command(next(self._numbers), neighbour, robot, now_s)
+        command = _Command(next(self._numbers), neighbour, robot, owner, now_s)
         self._newest[owner, robot.name] = command
         self._waiting[command.number] = command
         if len(self._waiting) > MAX_WAITING:
             del self._waiting[next(iter(self._waiting))]
         request = FleetCommand(
             number=command.number,
-            sent_s=now_s,
+            sent_s=self._transport.clock_s(received_s),
             robot=robot.name,
             owner=self._owners[owner],
             owner_name=printable(str(owner)),
             velocity=velocity.twist,
             priority=priority,
             epoch=epoch,
+            take_over=take_over,
         )
         self._transport.put("drive", request, to=neighbour.sender.zid)
 
@@ -370,6 +385,8 @@ class FleetRequests:
             del self._waiting[answer.number]
             command.answer = answer
             command.robot.note_epoch(answer.epoch, lock_reason=command.robot.admission.lock_reason)
+            if answer.error:
+                command.robot.admission.end_drives(command.owner)  # it keeps the robot from no driver here
             command.is_answered.set()
             return None
         if not self._orders.receive(neighbour.sender, answer):

@@ -6,6 +6,7 @@ A key begins with the verb and holds the sender's name, so that Zenoh's access r
 import asyncio
 import re
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple, TypeVar
 
@@ -204,6 +205,7 @@ class FleetCommand(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
     velocity: tuple[float, float, float, float, float, float]
     priority: Priority
     epoch: int | None = None  # of the robot, as the sender last saw it
+    take_over: bool = False  # from another driver of the same priority
 
     @property
     def wanted(self) -> PlanarVelocity:
@@ -278,7 +280,8 @@ GROUP = "fleet"  # of its participants in the hub
 class FleetTransport:
     """Messages of this daemon to the others of its fleet, and theirs to it.
 
-    `me`: name and id of this daemon; `counts`: refused and dropped messages, by cause.
+    `me`: name and id of this daemon; `counts`: refused and dropped messages, by cause; `slept_s`: for how long this
+    computer has slept so far, which the loop's time leaves out.
     """
 
     session: ZenohSession
@@ -286,10 +289,18 @@ class FleetTransport:
     me: Sender
     counts: Counter[str]
     may_drive: tuple[str, ...] = ("*",)  # patterns of the names of daemons whose programs may drive robots here
+    slept_s: Callable[[], float] = lambda: 0.0
 
     def key(self, verb: str, *rest: str, to: str = "") -> str:
         """Return a key of this daemon's messages."""
         return self.keys.key(verb, self.me, *rest, to=to)
+
+    def clock_s(self, loop_s: float) -> float:
+        """Return a time of the loop by the clock of `sent_s`, which counts the sleep of this computer.
+
+        By a clock without it, each later command would be as old as the sleep was long.
+        """
+        return loop_s + self.slept_s()
 
     def put(self, verb: str, message: msgspec.Struct, *, to: str = "") -> None:
         """Send a message before all others; `to`: the id of a daemon, else it is for all."""

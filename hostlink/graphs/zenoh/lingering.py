@@ -1,83 +1,71 @@
-"""SO_LINGER of Zenoh's sockets, which is turned off: the end of one link must not delay the others.
+"""Sockets of Zenoh: SO_LINGER is turned off, so that the end of one link does not delay the others.
 
 Zenoh closes each TCP and TLS link with SO_LINGER of 10 s, in a thread that reads for all links. When a host vanishes,
 bytes to it are unacknowledged, so that `close` waits for 10 s, and nothing is read from healthy hosts meanwhile
 (eclipse-zenoh/zenoh#1101 and #2718). No setting of Zenoh changes that. Without SO_LINGER the kernel sends what is left
 in the background.
+
+Zenoh sets SO_LINGER when a connection is made, which may be long after its socket was. So all sockets are looked at
+each time.
 """
 
 import contextlib
 import os
 import socket
-import stat
 import struct
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Iterator
 
 SWEEP_INTERVAL_S = 0.5  # a link to a host that vanished is closed after a lease of Zenoh, which is longer
 _DESCRIPTORS = "/dev/fd"  # of this process
 _LINGER = struct.Struct("ii")
 ZENOHS = _LINGER.pack(1, 10)  # by which its sockets are known; nothing else in this process sets it
 _OFF = _LINGER.pack(0, 0)
-Result = TypeVar("Result")
 
 
-class LingerSweep:
-    """Finds new sockets of this process that Zenoh has opened, and turns SO_LINGER off."""
-
-    def __init__(self) -> None:
-        self._known: dict[int, int] = {}  # inodes of sockets that were looked at, by descriptor
-
-    def sweep(self) -> int:
-        """Turn SO_LINGER off on each new socket of Zenoh. Return their number; 0 where descriptors are not listed."""
-        before, self._known = self._known, _sockets()
-        new = [descriptor for descriptor, inode in self._known.items() if before.get(descriptor) != inode]
-        return sum(_end_lingering(descriptor) for descriptor in new)
+def end_lingering() -> int:
+    """Turn SO_LINGER off on each socket with Zenoh's value. Return their number; 0 where descriptors are not listed."""
+    lingering = [descriptor for descriptor, linger in lingers().items() if linger == ZENOHS]
+    for descriptor in lingering:
+        with _borrowed(descriptor) as one, contextlib.suppress(OSError):  # it was closed meanwhile
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
+    return len(lingering)
 
 
-def stream_sockets() -> dict[int, bytes]:
-    """Return SO_LINGER of each TCP socket of this process, by descriptor."""
-    return {each: value for each in _sockets() if (value := _with_socket(each, _linger)) is not None}
-
-
-def _sockets() -> dict[int, int]:
-    """Return the inodes of this process's sockets, by descriptor."""
+def lingers() -> dict[int, bytes]:
+    """Return SO_LINGER of each socket of this process, by descriptor."""
     found = {}
     with contextlib.suppress(OSError):
         for name in os.listdir(_DESCRIPTORS):  # noqa: PTH208 - a Path for each costs more than the rest
-            with contextlib.suppress(OSError):  # it was closed meanwhile
-                status = os.fstat(int(name))
-                if stat.S_ISSOCK(status.st_mode):
-                    found[int(name)] = status.st_ino
+            with contextlib.suppress(OSError), _borrowed(int(name)) as one:  # a file, or closed meanwhile
+                found[int(name)] = one.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size)
     return found
 
 
-def _linger(one: socket.socket) -> bytes | None:
-    is_tcp = one.family in (socket.AF_INET, socket.AF_INET6) and one.type == socket.SOCK_STREAM
-    return one.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size) if is_tcp else None
+def shut_down(ends: set[tuple[str, str]]) -> int:
+    """Shut down the connections between these ends, own and other one, as Zenoh names them. Return their number."""
+    count = 0
+    places = {(own.partition("/")[2], other.partition("/")[2]) for own, other in ends}  # without tcp/ or tls/
+    for descriptor in lingers():
+        with contextlib.suppress(OSError), _borrowed(descriptor, -1) as one:  # it listens, or was closed meanwhile
+            if (_place(one.getsockname()), _place(one.getpeername())) in places:
+                one.shutdown(socket.SHUT_RDWR)
+                count += 1
+    return count
 
 
-def _end_lingering(descriptor: int) -> bool:
-    """Turn SO_LINGER off if it has Zenoh's value."""
-
-    def end(one: socket.socket) -> bool:
-        is_zenohs = _linger(one) == ZENOHS
-        if is_zenohs:
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
-        return is_zenohs
-
-    return _with_socket(descriptor, end) or False
+def _place(address: object) -> str:
+    """Return the address of a socket of TCP as in a locator of Zenoh; empty for another socket."""
+    if not isinstance(address, tuple):
+        return ""
+    host = address[0]
+    return f"[{host}]:{address[1]}" if ":" in host else f"{host}:{address[1]}"
 
 
-def _with_socket(descriptor: int, use: Callable[[socket.socket], Result]) -> Result | None:
-    """Use a descriptor as a socket; it stays its owner's. None if it was closed meanwhile."""
+@contextlib.contextmanager
+def _borrowed(descriptor: int, family: int = socket.AF_INET) -> Iterator[socket.socket]:
+    """Use a descriptor as a socket; it stays its owner's. Its options do not need its family, its addresses do."""
+    one = socket.socket(family, socket.SOCK_STREAM, 0, descriptor)
     try:
-        borrowed = socket.socket(fileno=descriptor)
-    except OSError:
-        return None
-    try:
-        return use(borrowed)
-    except OSError:
-        return None
+        yield one
     finally:
-        borrowed.detach()
+        one.detach()

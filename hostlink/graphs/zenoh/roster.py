@@ -18,6 +18,9 @@ MAX_STOPS = 64  # of one daemon, by which a repetition is known
 SILENT_S = 3.0  # a daemon sends its state each second; one that has a token and sends nothing has stopped
 
 
+STUCK_S = 5.0  # a daemon with a token that is silent for so long is not heard over its link
+
+
 @dataclass(slots=True, eq=False)
 class Neighbour:
     """Another daemon of the fleet, and its robots."""
@@ -30,6 +33,7 @@ class Neighbour:
     listed: dict[str, list[FleetTopic]] = field(default_factory=dict)  # that list, by robot
     freshness: Freshness = field(default_factory=Freshness)
     is_silent: bool = False
+    relinked_at_s: float = -math.inf
     was_heard: bool = False
     has_ended: bool = False  # it said so: its robots are stopped
     successor: Sender | None = None  # the same daemon after a restart
@@ -186,6 +190,17 @@ class FleetRoster:
         for neighbour in silent:
             neighbour.is_silent = True
         return {name for neighbour in silent for name in neighbour.robots}
+
+    def pop_stuck(self, now_s: float) -> list[Sender]:
+        """Return the daemons that have a token and send nothing for STUCK_S, each again after as long."""
+        stuck = [
+            each
+            for each in self._neighbours.values()
+            if each.is_silent and now_s > max(each.heard_at_s, each.relinked_at_s) + STUCK_S
+        ]
+        for neighbour in stuck:
+            neighbour.relinked_at_s = now_s
+        return [each.sender for each in stuck]
 
     def place(self, name: str) -> Place | None:
         """Return the daemon at which a robot is connected, or was last; None for an unknown robot."""

@@ -13,7 +13,7 @@ import structlog
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import ConfigError
-from hostlink.graphs.zenoh.lingering import SWEEP_INTERVAL_S, LingerSweep
+from hostlink.graphs.zenoh.lingering import SWEEP_INTERVAL_S, end_lingering, shut_down
 from hostlink.graphs.zenoh.settings import library, reach_of, reason_of, settings_of
 from hostlink.hub.isolation import Isolation
 from hostlink.logs import printable
@@ -252,13 +252,18 @@ class ZenohSession:
             return next((name for name in names if name), "")
         return ""
 
+    def close_links(self, zid: str) -> None:
+        """Close the connections to the neighbour of this id; Zenoh makes them anew."""
+        with self.guarded("links"):
+            ends = {(str(link.src), str(link.dst)) for link in self._session.info.links() if str(link.zid) == zid}
+            self.counts["closed"] += shut_down(ends)
+
     # -- its life -----------------------------------------------------------------------------------------------------
 
     async def run(self) -> None:
         """Keep the end of one link from delaying all others, until the session is closed."""
-        sweep = LingerSweep()
         while not self._is_closed:
-            self.counts["links"] += sweep.sweep()
+            self.counts["links"] += end_lingering()
             await asyncio.sleep(SWEEP_INTERVAL_S)
 
     async def aclose(self) -> None:

@@ -100,9 +100,9 @@ async def test_interruption_at_the_robots_daemon_disarms_remote_drivers(how: str
             accepted = gate.counts.commands
             await expect(lambda: not driven.is_driven)
             assert (gate.counts.commands, gate.current.is_zero) == (accepted, True)
-            with pytest.raises(HostlinkError, match="drive again if it is still meant"):
+            with pytest.raises(HostlinkError, match="robot_7 was stopped: "):
                 await driven.drive(0.3, 0.0)
-            await driven.drive(0.2, 0.0)
+            await driven.drive(0.2, 0.0, resume=True)
             assert gate.current.x_m_s == 0.2
 
 

@@ -20,7 +20,7 @@ from hostlink.graphs.zenoh.fleet_messages import (
     TopicList,
     encode,
 )
-from hostlink.graphs.zenoh.lingering import ZENOHS, stream_sockets
+from hostlink.graphs.zenoh.lingering import ZENOHS, lingers
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
@@ -100,7 +100,7 @@ async def test_no_link_of_a_fleet_is_closed_with_waiting() -> None:
     """A close that waits 10 s for a host that vanished makes the daemon deaf to all others (tools/netns_fleet.py)."""
     async with fleet("a", "b") as hosts:  # in one process, each finds the sockets of both
         await expect(lambda: sum(host.hub.counts.graphs["zenoh"]()["links"] for host in hosts) >= 2)
-        await expect(lambda: all(linger != ZENOHS for linger in stream_sockets().values()))
+        await expect(lambda: all(linger != ZENOHS for linger in lingers().values()))
 
 
 async def test_delayed_commands_move_no_robot() -> None:

@@ -223,7 +223,7 @@ async def test_ros1_takes_the_arguments_of_serial_node(ros: Graph) -> None:
 
 async def test_ros1_opens_the_serial_port_that_a_parameter_names(ros: Graph, tmp_path: Path) -> None:
     async with ros1(ros, f"_port:={tmp_path}/ttyACM0", "_baud:=115200") as daemon:
-        waiting = await daemon.read_log("serial.waiting")
+        waiting = await daemon.logged("serial.waiting")
         assert f"{tmp_path}/ttyACM0" in str(waiting)
 
 

@@ -18,6 +18,7 @@ from hostlink.api.listener import (
 from hostlink.config import ApiConfig, Config
 from hostlink.hub.hub import Hub
 from hostlink.link.fair_share import TURN_S
+from hostlink.transport.base import READ_BYTES
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import VirtualLoop, inside, run_virtual
@@ -78,11 +79,13 @@ class Scene:
         return b"".join(self.inner.pieces)
 
     def read(self, data: bytes) -> None:
-        """Let bytes arrive in one read."""
-        assert not self.transport.is_paused
-        buffer = self.reading.get_buffer(-1)
-        buffer[: len(data)] = data
-        self.reading.buffer_updated(len(data))
+        """Let bytes arrive in one read, or in as many as they need."""
+        while data:
+            assert not self.transport.is_paused
+            buffer = self.reading.get_buffer(-1)
+            piece, data = data[: len(buffer)], data[len(buffer) :]
+            buffer[: len(piece)] = piece
+            self.reading.buffer_updated(len(piece))
 
     def burn(self, seconds: float) -> None:
         """Let time pass without a turn of the loop."""
@@ -91,7 +94,9 @@ class Scene:
         loop.burn(seconds)
 
     def become_web_socket(self) -> None:
-        self.reading.become_web_socket(on_read=lambda: self.reads.append(None), on_writable=lambda: None)
+        self.reading.become_web_socket(
+            on_read=lambda: self.reads.append(None), on_full=lambda: None, on_writable=lambda: None
+        )
 
     def fill_turn(self) -> None:
         """Use up this turn of the loop by another client."""
@@ -146,7 +151,7 @@ async def test_second_request_read_before_the_first_is_answered_is_as_old_as_the
 async def test_bytes_behind_a_full_buffer_are_as_old_as_those_before_them(scene: Scene, is_web_socket: bool) -> None:
     if is_web_socket:
         scene.become_web_socket()
-    size = SOCKET_BYTES if is_web_socket else REQUEST_BYTES
+    size = READ_BYTES if is_web_socket else REQUEST_BYTES
     assert len(scene.reading.get_buffer(-1)) == size
     scene.read(bytes(size))
     await asyncio.sleep(0.01)
@@ -262,9 +267,9 @@ async def test_connection_waits_before_a_request_in_a_body_and_after_an_answer(s
 async def test_web_socket_message_is_passed_on_at_once_even_in_a_used_up_turn(scene: Scene) -> None:
     scene.become_web_socket()
     scene.fill_turn()
-    scene.read(bytes(SOCKET_BYTES))
-    assert (len(scene.received), len(scene.reads)) == (SOCKET_BYTES, 1)
-    assert (scene.reading.unread_bytes, scene.share.held_bytes) == (SOCKET_BYTES, 0)
+    scene.read(bytes(READ_BYTES))
+    assert (len(scene.received), len(scene.reads)) == (READ_BYTES, 1)
+    assert (scene.reading.unread_bytes, scene.share.held_bytes) == (READ_BYTES, 0)
     scene.reading.leave_web_socket()
     scene.reading.unread_bytes = 0
     scene.read(b"x")
@@ -341,13 +346,61 @@ async def test_pings_do_not_count_as_bytes_of_a_message(scene: Scene) -> None:
 
 
 @inside(check)
+async def test_paused_web_socket_leaves_bytes_in_the_socket_and_they_are_as_old(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.read(b"x")
+    scene.reading.pause()
+    assert scene.transport.is_paused
+    await asyncio.sleep(2.0)
+    scene.reading.resume()
+    scene.read(b"y")
+    assert (scene.received, scene.reading.came_s) == (b"xy", 100.0)
+    await asyncio.sleep(1.0)
+    scene.read(b"z")
+    assert scene.reading.came_s == 103.0
+
+
+@inside(check)
+async def test_web_socket_that_the_inner_protocol_has_paused_is_resumed_by_it_alone(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.inner.on_data = scene.transport.pause_reading
+    scene.read(b"x")
+    scene.reading.pause()
+    scene.reading.resume()
+    assert scene.transport.is_paused
+
+
+@inside(check)
+async def test_paused_web_socket_that_is_closed_stays_paused(scene: Scene) -> None:
+    scene.become_web_socket()
+    scene.reading.pause()
+    scene.transport.close()
+    scene.reading.resume()
+    assert scene.transport.is_paused
+
+
+@inside(check)
+async def test_web_socket_is_read_in_small_pieces_except_the_rest_of_a_large_message(scene: Scene) -> None:
+    scene.become_web_socket()
+    assert len(scene.reading.get_buffer(-1)) == READ_BYTES
+    scene.read(bytes(READ_BYTES - 1))
+    assert len(scene.reading.get_buffer(-1)) == READ_BYTES
+    scene.read(b"x")
+    assert len(scene.reading.get_buffer(-1)) == SOCKET_BYTES
+    scene.reading.unread_bytes = 0  # the message was received
+    assert len(scene.reading.get_buffer(-1)) == READ_BYTES
+
+
+@inside(check)
 async def test_writing_that_may_continue_calls_the_web_socket(scene: Scene) -> None:
-    writable: list[None] = []
-    scene.reading.become_web_socket(on_read=lambda: None, on_writable=lambda: writable.append(None))
+    calls: list[str] = []
+    scene.reading.become_web_socket(
+        on_read=lambda: None, on_full=lambda: calls.append("full"), on_writable=lambda: calls.append("writable")
+    )
     scene.reading.pause_writing()
-    assert (scene.reading.is_writing_paused, writable) == (True, [])
+    assert (scene.reading.is_writing_paused, calls) == (True, ["full"])
     scene.reading.resume_writing()
-    assert (scene.reading.is_writing_paused, writable) == (False, [None])
+    assert (scene.reading.is_writing_paused, calls) == (False, ["full", "writable"])
     assert scene.inner.calls == ["made", "paused", "resumed"]
 
 

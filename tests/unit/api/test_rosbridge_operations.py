@@ -9,21 +9,26 @@ from typing import Any
 import cbor2
 import pytest
 
+from hostlink.api.clients import MAX_MESSAGES
 from hostlink.api.rosbridge import MAX_ADVERTISED, MAX_PARTS, MAX_SUBSCRIPTIONS, MAX_TEXT, MAX_UNKNOWN_OPS
 from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.node import Role
+from hostlink.hub.queue import MAX_RESULTS
 from hostlink.hub.robot import AnyRobot
 from hostlink.hub.robots import Robots
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
-from tests.support.api_memory import ApiMemory, ApiPeer, api_in_memory
+from hostlink.transport.base import READ_BYTES
+from tests.support.api_memory import ApiMemory, ApiPeer, api_in_memory, text_frame
 from tests.support.participants import VELOCITY_ID
 from tests.support.remote_robots import connected_robot
 from tests.support.rosbridge_memory import Peer, world
 from tests.support.virtual_loop import within
+from tests.support.waiting import expect
 
 CHAT = {"topic": "/chat", "type": "std_msgs/String"}
 VELOCITY = "/robot_0/velocity_commands"
+MANY_MESSAGES = 900  # within the allowed rate
 
 
 def statuses(peer: Peer) -> list[str]:
@@ -253,6 +258,38 @@ async def test_drive_of_a_locked_or_driven_robot_is_refused_with_epoch_and_holde
     robot.lock("test")
     answer = await ask(second, **velocity)
     assert (answer["kind"], answer["holder"], answer["epoch"]) == ("locked", None, robot.admission.epoch)
+
+
+@within(api_in_memory)
+async def test_operations_that_find_no_room_wait_in_the_socket(api: ApiMemory) -> None:
+    """Decoded messages take several times the memory of their bytes."""
+    peer = await api.web_socket()
+    peer.reading.pause_writing()  # the client does not read its answers
+    messages = [
+        text_frame(op="drive", robot=f"absent_{100 + number}", linear=0.1, angular=0.0)
+        for number in range(MANY_MESSAGES)
+    ]
+    peer.send(b"".join(messages))
+    await asyncio.sleep(0.1)
+    read = MANY_MESSAGES - len(peer.unread) // len(messages[0])
+    assert MAX_MESSAGES < read < MAX_MESSAGES + MAX_RESULTS // 2 + 2 * READ_BYTES // len(messages[0])
+    peer.reading.resume_writing()
+    await asyncio.sleep(1.0)
+    assert (len(peer.texts()), len(peer.unread)) == (MANY_MESSAGES, 0)
+
+
+@within(api_in_memory)
+async def test_zero_behind_a_burst_of_velocities_is_the_last_that_the_device_gets(api: ApiMemory) -> None:
+    """A connection that drives is read to its end, in the same moment, although not in one read."""
+    peer = await api.web_socket()
+    velocity = {"op": "drive", "robot": "robot_0", "angular": 0.0}
+    began_s = asyncio.get_running_loop().time()
+    linear = [0.1 + number / 1e5 for number in range(MANY_MESSAGES)] + [0.0]
+    peer.send(b"".join(text_frame(**velocity, linear=each) for each in linear))
+    await expect(lambda: not peer.unread)
+    assert asyncio.get_running_loop().time() - began_s < 0.1
+    await asyncio.sleep(0.01)
+    assert struct.unpack("<6d", api.device.payloads(VELOCITY_ID)[-1]) == 6 * (0.0,)
 
 
 @pytest.mark.parametrize(("link", "is_moved"), [(0, False), (1, True), (2, False)])

@@ -10,9 +10,10 @@ import pytest
 from aiohttp import WSMessage, WSMsgType, web
 from structlog.testing import capture_logs
 
-from hostlink.api.clients import Client, ClientQueue, Operation, Outgoing, VelocityOf
+from hostlink.api.clients import MAX_MESSAGES, Client, ClientQueue, Operation, Outgoing, VelocityOf
 from hostlink.api.listener import PacedReading
-from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, WRITE_BYTES, ClientSocket, frame_head
+from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, ClientSocket, frame_head
+from hostlink.api.write_pace import LEAST_BYTES, SLOW_S, WRITE_BYTES
 from hostlink.config import ApiConfig, Config
 from hostlink.hub.hub import Hub
 from hostlink.hub.queue import MAX_RESULTS
@@ -29,9 +30,9 @@ class Socket:
     def __init__(self) -> None:
         self.messages = asyncio.Queue[WSMessage]()
         self.written: list[bytes] = []
-        self.pings = self.pongs = 0
+        self.pings = 0
         self.close_code: int | None = None
-        self.closed = self.is_writing_paused = False
+        self.closed = self.is_writing_paused = self.is_paused = False
         self.came_s = 0.0
         self.reads = self.unread_bytes = 0
         self.has_room = False
@@ -39,6 +40,7 @@ class Socket:
         self.kind = "rosbridge"
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
         self.on_read: Callable[[], None]
+        self.on_full: Callable[[], None]
         self.on_writable: Callable[[], None]
 
     def put(self, *texts: str) -> None:
@@ -52,9 +54,6 @@ class Socket:
     async def ping(self) -> None:
         self.pings += 1
 
-    async def pong(self, _: bytes) -> None:
-        self.pongs += 1
-
     async def close(self, *, code: int, message: bytes, drain: bool) -> None:  # noqa: ARG002 - aiohttp's signature
         self.close_code, self.closed = code, True
 
@@ -64,8 +63,26 @@ class Socket:
     def is_closing(self) -> bool:
         return self.closed
 
-    def become_web_socket(self, *, on_read: Callable[[], None], on_writable: Callable[[], None]) -> None:
-        self.on_read, self.on_writable = on_read, on_writable
+    def become_web_socket(
+        self, *, on_read: Callable[[], None], on_full: Callable[[], None], on_writable: Callable[[], None]
+    ) -> None:
+        self.on_read, self.on_full, self.on_writable = on_read, on_full, on_writable
+
+    def fill(self, for_s: float) -> None:
+        """Let the system take nothing for some time."""
+        self.is_writing_paused = True
+        self.on_full()
+        asyncio.get_running_loop().call_later(for_s, self._take_all)
+
+    def _take_all(self) -> None:
+        self.is_writing_paused = False
+        self.on_writable()
+
+    def pause(self) -> None:
+        self.is_paused = True
+
+    def resume(self) -> None:
+        self.is_paused = False
 
     def note_reading(self) -> None: ...
     def leave_web_socket(self) -> None: ...
@@ -266,6 +283,7 @@ def test_client_that_does_not_read_is_disconnected() -> None:
             def fill(data: bytes) -> None:
                 client.socket.is_writing_paused = True
                 client.socket.written.append(data)
+                client.socket.on_full()
 
             client.socket.write = fill  # type: ignore[method-assign]
             client.queue.put_message("topic", Outgoing(b"x"))
@@ -367,9 +385,111 @@ def test_foxglove_client_is_sent_nothing_before_a_pong_or_a_second(answers: bool
 def test_ping_is_answered() -> None:
     async def run() -> None:
         async with connected() as client:
-            client.socket.messages.put_nowait(WSMessage(WSMsgType.PING, b"", None))
+            client.socket.messages.put_nowait(WSMessage(WSMsgType.PING, b"no", None))
             await asyncio.sleep(0.01)
-            assert client.socket.pongs == 1
+            assert client.socket.written == [b"\x8a\x02no"]
+
+    run_virtual(run())
+
+
+def test_pings_of_a_client_that_does_not_read_delay_no_command_and_the_last_is_answered() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.fill(for_s=3.0)
+            for number in range(3):
+                client.socket.messages.put_nowait(WSMessage(WSMsgType.PING, str(number).encode(), None))
+            client.socket.put("stop")
+            await asyncio.sleep(0.01)
+            assert client.program.done == ["stop"]
+            assert client.socket.written == []
+            await asyncio.sleep(3.0)
+            assert client.socket.written[:1] == [b"\x8a\x012"]
+
+    run_virtual(run())
+
+
+def pong(client: Connected, number: int) -> None:
+    client.socket.messages.put_nowait(WSMessage(WSMsgType.PONG, str(number).encode(), None))
+
+
+def test_client_that_was_slow_gets_the_next_piece_when_it_has_read_the_one_before() -> None:
+    """A client that reads fast again gets all at once."""
+
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.fill(for_s=SLOW_S)
+            piece = bytes(LEAST_BYTES // 2)
+            for _ in range(200):
+                client.queue.put_message("topic", Outgoing(piece))
+            await asyncio.sleep(5.0)
+            written = client.socket.written
+            assert [data.count(piece) for data in written] == [2]
+            assert written[0].endswith(b"\x89\x011")
+            pong(client, 0)
+            await asyncio.sleep(0.01)
+            assert len(written) == 1
+            pong(client, 1)
+            await asyncio.sleep(SLOW_S)
+            pong(client, 2)
+            await asyncio.sleep(0.01)
+            for number in range(3, 7):
+                pong(client, number)
+                await asyncio.sleep(0.01)
+            assert [data.count(piece) for data in written] == [2, 2, 2, 4, 8, 16, 32, 32, 32, 32, 32, 6]
+            assert [b"\x89" in data for data in written] == 6 * [True] + 6 * [False]
+            assert client.queue.waiting_messages == 0
+
+    run_virtual(run())
+
+
+def test_slow_client_that_answers_no_ping_is_sent_all_after_a_while() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.fill(for_s=SLOW_S)
+            for _ in range(20):
+                client.queue.put_message("topic", Outgoing(bytes(LEAST_BYTES)))
+            await asyncio.sleep(SEND_TIMEOUT_S)
+            assert len(client.socket.written) == 1
+            await asyncio.sleep(1.0)
+            assert client.queue.waiting_messages == 0
+
+    run_virtual(run())
+
+
+def test_slow_client_whose_operations_have_no_room_is_not_waited_for() -> None:
+    """The pong is behind messages that are not read before the answers have room."""
+
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.fill(for_s=SLOW_S)
+            words = [f"{number:03}" for number in range(3 * MAX_RESULTS)]
+            client.socket.put(*words)
+            pongs: list[int] = []
+
+            def answer(data: bytes) -> None:
+                client.socket.written.append(data)
+                if b"\x89" in data:
+                    pongs.append(int(data.partition(b"\x89")[2][1:]))
+                    pong(client, pongs[-1])
+
+            client.socket.write = answer  # type: ignore[method-assign]
+            await asyncio.sleep(1.0)
+            assert pongs
+            assert client.program.done == words
+            assert b"".join(client.socket.written).count(b"\x81\x03") == len(words)
+
+    run_virtual(run())
+
+
+def test_client_is_not_read_from_while_its_operations_have_no_room() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.fill(for_s=SLOW_S / 2)
+            client.socket.put(*map(str, range(MAX_RESULTS // 2 + MAX_MESSAGES + 10)))
+            await asyncio.sleep(SLOW_S / 4)
+            assert client.socket.is_paused
+            await asyncio.sleep(SLOW_S / 2)
+            assert not client.socket.is_paused
 
     run_virtual(run())
 

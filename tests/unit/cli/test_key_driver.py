@@ -132,3 +132,19 @@ def test_a_confirmed_unlock_ends_only_the_lock_that_was_asked_about() -> None:
         assert robot.gate.lock_reason is None
 
     at_the_keys(test)
+
+
+def test_shifted_key_moves_the_robot_sideways_unless_its_drive_cannot() -> None:
+    async def test(keys: Person) -> None:
+        keys.driving.receive(Key("a", is_shifted=True), asyncio.get_running_loop().time())
+        await keys.driver.send_due()
+        await asyncio.sleep(0.05)
+        assert struct.unpack("<6d", keys.made.robot.payloads(VELOCITY_ID)[-1])[1] == SPEED_M_S
+        keys.watched.state = cast(RobotState, {"kinematics": "differential"})
+        await asyncio.sleep(SEND_INTERVAL_S)
+        await keys.driver.send_due()
+        await asyncio.sleep(0.05)
+        newest = struct.unpack("<6d", keys.made.robot.payloads(VELOCITY_ID)[-1])
+        assert (newest[1], newest[5]) == (0.0, 0.8)
+
+    at_the_keys(test)

@@ -9,12 +9,15 @@ from hostlink.cli.driving import Action, Key, KeyReader
     ("data", "keys"),
     [
         (b"w", [Key("w")]),
-        (b"W", [Key("w")]),
+        (b"W", [Key("w", is_shifted=True)]),
         (b"wa ", [Key("w"), Key("a"), Key("space")]),
         (b"\x03", [Key("ctrl-c")]),
         (b"\x1b[A\x1b[D", [Key("up"), Key("left")]),
         (b"\x1b", [Key("escape")]),
         (b"\x1b[119u", [Key("w")]),
+        (b"\x1b[119;2u", [Key("w", is_shifted=True)]),
+        (b"\x1b[1;2:3D", [Key("left", Action.RELEASED, is_shifted=True)]),
+        (b"\x1b[119;65u", [Key("w")]),  # Caps Lock
         (b"\x1b[119;1:1u", [Key("w", Action.PRESSED)]),
         (b"\x1b[119;1:2u", [Key("w", Action.REPEATED)]),
         (b"\x1b[119;1:3u", [Key("w", Action.RELEASED)]),

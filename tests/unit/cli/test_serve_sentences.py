@@ -47,16 +47,16 @@ def test_a_terminal_shows_the_address_a_line_for_each_robot_and_what_needs_a_per
         STARTED,
         {"event": "link.opened", "link": 1},
         APPEARED,
-        {"event": "serial.waiting", "port": "/dev/ttyUSB7", "level": "warning"},
+        {"event": "drives.lost", "reason": "No space left on device", "level": "warning"},
         {"event": "daemon.stopping"},
         {"event": "daemon.stopped"},
         stream=_Terminal(),
     )
-    page, boards, ready, waiting, *ends = text.splitlines()
+    page, boards, ready, lost, *ends = text.splitlines()
     assert page == "hostlink runs: http://127.0.0.1:9090  (open it in a browser)"
     assert boards == "boards connect to 0.0.0.0:11411; Ctrl-C ends hostlink"
     assert ready == "mule is ready; to drive it: hostlink teleop mule"
-    assert "serial.waiting" in waiting
+    assert "drives.lost" in lost
     assert ends == ["stopping the robots ...", "hostlink has ended"]
     assert "link.opened" in recorded  # a recording has every line
 
@@ -84,3 +84,23 @@ def test_a_sentence_has_the_facts_of_its_event(events: list[Mapping[str, object]
 
 def test_other_events_have_no_sentence() -> None:
     assert Sentences()({"event": "link.opened"}) is None
+
+
+@pytest.mark.usefixtures("restored")
+def test_a_terminal_shows_a_missing_serial_port_with_the_next_step_and_that_it_is_waited_for() -> None:
+    facts = {"port": "/dev/ttyUSB7", "reason": "/dev/ttyUSB7: no such port", "next_step": "plug the board in"}
+    text = written(
+        {"event": "serial.waiting", "level": "warning", **facts},
+        STARTED | {"serial": ["/dev/ttyACM0", "/dev/ttyACM1"], "missing": ["/dev/ttyUSB7"]},
+        STARTED | {"udp": "0.0.0.0:11412", "serial": ["/dev/ttyACM0"], "missing": []},
+        stream=_Terminal(),
+    )
+    assert text.splitlines() == [
+        "/dev/ttyUSB7 cannot be used: no such port",
+        "  next: plug the board in",
+        "hostlink runs: http://127.0.0.1:9090  (open it in a browser)",
+        "boards connect to 0.0.0.0:11411, and are at /dev/ttyACM0, /dev/ttyACM1; waiting for /dev/ttyUSB7; "
+        "Ctrl-C ends hostlink",
+        "hostlink runs: http://127.0.0.1:9090  (open it in a browser)",
+        "boards connect to 0.0.0.0:11411, over UDP to 0.0.0.0:11412, and are at /dev/ttyACM0; Ctrl-C ends hostlink",
+    ]

@@ -5,6 +5,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -29,6 +30,23 @@ def test_invalid_world_is_refused_with_its_line(tmp_path: Path, content: bytes |
     with pytest.raises(ConfigError) as refused:
         sim.command(world=file)
     assert str(refused.value) == f"--world: {file}: {reason}"
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"world": Path("w")}, "--world: a robot of --kinematics has no motors and no floor; leave out one of the two"),
+        (
+            {"fault": "stalled_wheel"},
+            "--fault: stalled_wheel is a fault of a motor, which a robot of --kinematics does not have",
+        ),
+        ({"fault": "rust"}, "--fault: unknown fault 'rust'; choose one of "),
+    ],
+)
+def test_options_of_the_firmwares_world_are_refused_for_another_drive(options: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        sim.command(kinematics="mecanum", **options)
+    assert str(refused.value).startswith(reason)
 
 
 STARTS: dict[str, Callable[[], None]] = {

@@ -2,14 +2,15 @@
 
 import asyncio
 import contextlib
+import itertools
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 
 import pytest
 
-from hostlink.client import Driven, Refusal, Robot
-from hostlink.errors import HostlinkError
+from hostlink.client import Driven, Refusal, Robot, driver
+from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.hub.gates import RemoteHosts
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import LET_GO, WAS_STOPPED, EventKind, RobotEvent
@@ -123,6 +124,7 @@ async def test_stop_that_is_not_answered_delays_no_stop_of_another_robot() -> No
     """The daemon answers after other daemons have answered, and one of them may be gone."""
     async with world() as here:
         names = (ROBOT, NEIGHBOUR)
+        await asyncio.sleep(LEASE_S)  # the neighbour has let go
         for name in names:
             await here.me.robot(name).drive(0.2, 0.0)
         here.made.hub.gates.hosts = Unanswered()
@@ -155,7 +157,9 @@ async def test_drive_of_a_device_that_left_is_broken_off_and_refused() -> None:
         await here.made.robot.aclose()
         await asyncio.sleep(REPEATED_S)
         assert not here.robot.is_driven
-        assert "its device is not connected" in await here.refused()  # what broke the velocity off
+        for _ in range(2):
+            assert "its device is not connected" in await here.refused()  # what broke the velocity off
+        await asyncio.sleep(LEASE_S)
         assert await here.refused() == "robot_0: its device is not connected"
         await here.connect_again()
 
@@ -174,20 +178,23 @@ async def test_velocity_that_is_not_finite_ends_the_earlier_drive(wrong: float) 
 
 
 @virtual
-async def test_repeated_velocity_that_is_overruled_is_dropped_and_the_next_drive_raises_once() -> None:
+async def test_repeated_velocity_that_is_overruled_is_dropped_and_each_drive_raises_until_the_program_lets_go() -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
         here.drive_as_a_person()
         await asyncio.sleep(REPEATED_S)
         assert not here.robot.is_driven
         here.made.hub.gates.release("a person")
-        assert await here.refused() == f"robot_0 was stopped, drive again if it is still meant: {HELD_BY_PERSON}"
+        for _ in range(9):
+            await asyncio.sleep(LEASE_S - 0.1)
+            assert await here.refused() == f"robot_0 was stopped: {HELD_BY_PERSON}; {driver.LET_GO}"
+        await here.robot.drive(0.0, 0.0)
         await here.robot.drive(0.3, 0.0)
         assert here.gate.current == PlanarVelocity(0.3)
 
 
 @virtual
-async def test_program_that_drives_again_and_again_is_refused_once_when_the_device_connected_again() -> None:
+async def test_program_that_drives_again_and_again_is_refused_each_time_when_the_device_connected_again() -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
         await here.connect_again()
@@ -199,15 +206,17 @@ async def test_program_that_drives_again_and_again_is_refused_once_when_the_devi
             except HostlinkError as error:
                 refusals.append(str(error))
             await asyncio.sleep(0.01)
-        assert len(refusals) == 1
+        assert len(refusals) == 20
         assert "not connected" in refusals[0] or INTERRUPTED in refusals[0]
-        assert here.robot.is_driven
+        assert set(here.made.speeds()) == {0.0}
+        await asyncio.sleep(LEASE_S)
+        await here.robot.drive(0.2, 0.0)
         await asyncio.sleep(SENT_S)
         assert here.made.speeds()[-1] == 0.2
 
 
 @virtual
-async def test_stop_by_another_program_ends_a_drive_and_the_next_raises_once() -> None:
+async def test_stop_by_another_program_ends_a_drive_and_the_next_raises_unless_it_resumes() -> None:
     async with world() as here:
         await here.robot.drive(0.2, 0.0)
         await here.other.robot(ROBOT).stop()
@@ -215,7 +224,7 @@ async def test_stop_by_another_program_ends_a_drive_and_the_next_raises_once() -
         assert not here.robot.is_driven
         assert here.gate.owner_name is None
         assert INTERRUPTED in await here.refused()
-        await here.robot.drive(0.2, 0.0)
+        await here.robot.drive(0.2, 0.0, resume=True)
 
 
 @virtual
@@ -228,6 +237,7 @@ async def test_lock_by_another_program_drops_the_velocity_and_the_unlock_moves_n
         await here.other.robot(ROBOT).unlock()
         assert "somebody stands there" in await here.refused()
         assert here.gate.owner_name is None
+        await here.robot.stop(wait_s=0)
         await here.robot.drive(0.2, 0.0)
 
 
@@ -286,6 +296,157 @@ async def test_drive_that_is_cancelled_is_followed_by_a_zero() -> None:
         assert here.made.speeds()[-1] == 0.0
 
 
+# -- two drivers ------------------------------------------------------------------------------------------------------
+
+
+async def drive_on(robot: Robot, linear_m_s: float, errors: list[HostlinkError], **how: bool) -> None:
+    """Drive again and again, as a program that ignores every error."""
+    while True:
+        try:
+            await robot.drive(linear_m_s, 0.0, **how)
+        except HostlinkError as error:
+            errors.append(error)
+        await asyncio.sleep(0.1)
+
+
+def changes_of_sign(speeds_m_s: list[float]) -> int:
+    moving = [speed_m_s for speed_m_s in speeds_m_s if speed_m_s]
+    return sum(before * after < 0 for before, after in itertools.pairwise(moving))
+
+
+@pytest.mark.parametrize("take_over", [False, True])
+@virtual
+async def test_two_programs_with_opposite_velocities_do_not_shake_the_robot(*, take_over: bool) -> None:
+    async with world() as here, asyncio.TaskGroup() as tasks:
+        await asyncio.sleep(LEASE_S)
+        errors: dict[str, list[HostlinkError]] = {"me": [], "other": []}
+        programs = {"me": (here.me, 0.2), "other": (here.other, -0.2)}
+        began = len(here.made.speeds())
+        driving = []
+        for name, (host, speed_m_s) in programs.items():
+            driving.append(tasks.create_task(drive_on(host.robot(ROBOT), speed_m_s, errors[name], take_over=take_over)))
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(3.0)
+        heard = here.made.speeds()[began:]
+        assert changes_of_sign(heard) == take_over  # the one of the first take-over
+        assert heard[-1] == (-0.2 if take_over else 0.2)
+        refused = errors["me" if take_over else "other"]
+        assert len(refused) > 20
+        driver = (here.other if take_over else here.me).robot(ROBOT)
+        loser = (here.me if take_over else here.other).robot(ROBOT)
+        for error in refused:
+            assert isinstance(error, CommandRefused)
+            assert (error.kind, error.holder, error.by) == (RefusalKind.HELD, driver.client_name, driver.client_name)
+            assert str(driver.client_name) in str(error)
+        assert (driver.is_driven, loser.is_driven) == (True, False)
+        for each in driving:
+            each.cancel()
+
+
+@virtual
+async def test_program_takes_the_robot_over_and_the_other_takes_it_back_after_it_let_go() -> None:
+    async with world() as here:
+        mine, theirs = here.robot, here.other.robot(ROBOT)
+        await mine.drive(0.2, 0.0)
+        with pytest.raises(CommandRefused, match="same priority"):
+            await theirs.drive(-0.2, 0.0)
+        await theirs.drive(-0.2, 0.0, take_over=True)
+        await asyncio.sleep(REPEATED_S)
+        assert (here.gate.current.x_m_s, mine.is_driven) == (-0.2, False)
+        with pytest.raises(CommandRefused, match="has taken it over"):
+            await mine.drive(0.2, 0.0, take_over=True)
+        await mine.drive(0.2, 0.0, take_over=True, resume=True)
+        await asyncio.sleep(REPEATED_S)
+        assert (here.gate.current.x_m_s, theirs.is_driven) == (0.2, False)
+
+
+@virtual
+async def test_repetition_takes_no_robot_over() -> None:
+    """A program that was late, and whose lease has ended, takes nothing from who drives since."""
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0, take_over=True)
+        here.gate.stop(now_s=asyncio.get_running_loop().time())
+        drive_gate(here.known, PlanarVelocity(0.1), owner="another", priority=50)
+        await asyncio.sleep(REPEATED_S)
+        assert here.gate.owner == "another"
+        assert not here.robot.is_driven
+
+
+@virtual
+async def test_zero_that_is_repeated_while_another_drives_breaks_nothing_off() -> None:
+    async with world() as here:
+        await here.robot.drive(0.0, 0.0)
+        theirs = here.other.robot(ROBOT)
+        await theirs.drive(-0.2, 0.0)
+        await asyncio.sleep(2 * LEASE_S)
+        assert here.gate.current.x_m_s == -0.2
+        await theirs.stop(wait_s=0)
+        assert here.robot.is_driven
+        await here.robot.drive(0.2, 0.0)
+
+
+async def stopped(here: World) -> None:
+    await here.other.robot(ROBOT).stop(wait_s=0)
+
+
+async def locked_and_unlocked(here: World) -> None:
+    await here.other.robot(ROBOT).lock("smoke", wait_s=0)
+    await asyncio.sleep(0.5)
+    await here.other.robot(ROBOT).unlock()
+
+
+async def connected_again(here: World) -> None:
+    await here.connect_again()
+
+
+async def taken_over(here: World) -> None:
+    other = here.other.robot(ROBOT)
+    await other.drive(0.1, 0.0, take_over=True)
+    await asyncio.sleep(1.0)
+    await other.stop(wait_s=0)
+
+
+async def overruled(here: World) -> None:
+    here.drive_as_a_person()
+    await asyncio.sleep(0.3)
+    here.made.hub.gates.release("a person")
+
+
+async def cut(here: World) -> None:
+    here.me.lose()
+
+
+LETS_GO: dict[str, Callable[[World], Awaitable[object]]] = {
+    "a zero": lambda here: here.robot.drive(0.0, 0.0),
+    "silence": lambda _: asyncio.sleep(LEASE_S + SENT_S),
+    "stop": lambda here: here.robot.stop(wait_s=0),
+    "resume": lambda here: here.robot.drive(0.2, 0.0, resume=True),
+}
+
+
+@pytest.mark.parametrize("lets_go", LETS_GO)
+@pytest.mark.parametrize("interrupt", [stopped, locked_and_unlocked, connected_again, taken_over, overruled, cut])
+@virtual
+async def test_program_that_ignores_errors_drives_on_after_it_let_go_alone(
+    interrupt: Callable[[World], Awaitable[None]], lets_go: str
+) -> None:
+    async with world() as here, asyncio.TaskGroup() as tasks:
+        errors: list[HostlinkError] = []
+        driving = tasks.create_task(drive_on(here.robot, 0.2, errors))
+        await asyncio.sleep(0.5)
+        assert (here.gate.current.x_m_s, errors) == (0.2, [])
+        await interrupt(here)
+        await asyncio.sleep(LEASE_S + SENT_S)
+        before = len(here.made.speeds())
+        await asyncio.sleep(3.0)
+        assert len(errors) > 25
+        assert set(here.made.speeds()[before - 1 :]) == {0.0}
+        driving.cancel()
+        await LETS_GO[lets_go](here)
+        await here.robot.drive(0.2, 0.0)
+        assert here.gate.current.x_m_s == 0.2
+
+
 # -- programs that hang -----------------------------------------------------------------------------------------------
 
 IDLE = "the program made no call for 10"
@@ -329,7 +490,7 @@ async def test_robot_of_a_program_that_makes_no_call_for_ten_seconds_stops_and_t
         assert [str(each).startswith(IDLE) for each in reasons] == [True]
         assert caplog.messages[0].startswith(f"robot_0 stopped: {IDLE}")
         assert "keep=True" in await here.refused()
-        await here.robot.drive(0.2, 0.0)
+        await here.robot.drive(0.2, 0.0, resume=True)
         if reading is not None:
             reading.cancel()
 

@@ -10,8 +10,8 @@ import pytest
 
 from hostlink.client import Motion, MotionOutcome, Progress, Robot
 from hostlink.client.driver import VelocitySender
-from hostlink.client.motion import CoursePilot, Fix, follow, line, turn
-from hostlink.errors import BadRequest, CommandRefused, HostlinkError
+from hostlink.client.motion import Begin, CoursePilot, Fix, follow, line, turn
+from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind
 from hostlink.protocol.frame import Id
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.velocity import PlanarVelocity, Twist
@@ -185,7 +185,11 @@ async def test_motion_that_is_stopped_by_another_is_not_resumed(
     assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "disarmed", "a stop by the page")
     await asyncio.sleep(0.2)
     assert here.is_zero
-    assert (await here.robot.drive(0.1, 0.0, for_s=0.2)).is_reached  # the result has told the program
+    with pytest.raises(CommandRefused, match=r"robot_0 was stopped: .*a stop by the page") as refused:
+        await motion(here.robot)  # the program has not let go since
+    assert (refused.value.kind, refused.value.by) == (RefusalKind.DISARMED, "a stop by the page")
+    assert here.is_zero
+    assert (await here.robot.drive(0.1, 0.0, for_s=0.2, resume=True)).is_reached
 
 
 @every_motion
@@ -270,7 +274,7 @@ async def test_end_of_a_replaced_motion_leaves_the_notice_of_the_newer_drive(
     here.made.hub.robots.find_here(ROBOT).lock("a person is near")
     assert (await task).kind == "program"
     await asyncio.sleep(0.5)
-    with pytest.raises(HostlinkError, match="drive again if it is still meant"):
+    with pytest.raises(HostlinkError, match=r"robot_0 was stopped: .*resume=True"):
         await here.robot.drive(-0.1, 0.0)
 
 
@@ -494,7 +498,7 @@ def test_motion_that_is_cancelled_while_its_refusal_ends_it_is_cancelled() -> No
     async def test() -> None:
         sender = cast(VelocitySender, _RefusedSender())
         async with asyncio.TaskGroup() as tasks:
-            moving = tasks.create_task(follow(sender, "robot_0", 0, line(1.0, 0.3, None), odometry(), None))
+            moving = tasks.create_task(follow(sender, "robot_0", 0, line(1.0, 0.3, None), odometry(), None, Begin()))
             await is_closing.wait()
             moving.cancel()
         assert moving.cancelled()
@@ -539,7 +543,7 @@ async def test_end_of_all_motions_keeps_the_notice_of_a_velocity_that_was_broken
     assert not here.robot.is_driven
     with pytest.raises(HostlinkError, match="the network is cut"):
         await here.robot.drive(0.1, 0.0)
-    await here.robot.drive(0.1, 0.0)  # a drive after the end is a new one
+    await here.robot.drive(0.1, 0.0, resume=True)  # a drive after the end is a new one
     assert here.robot.is_driven
     await here.me.stop_driven()
 

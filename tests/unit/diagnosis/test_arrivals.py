@@ -98,3 +98,10 @@ def test_daemon_with_a_device_or_a_port_that_cannot_be_opened_reports_only_the_p
     missing = finding("serial_missing")
     assert daemon_findings([], [refused("not_allowed")], is_connected=True, listening=LISTENING) == []
     assert daemon_findings([missing], [refused("not_allowed")], is_connected=False, listening=LISTENING) == [missing]
+
+
+def test_finding_of_the_daemons_own_part_is_reported_with_and_without_a_device() -> None:
+    taken = finding("recordings_taken")
+    assert daemon_findings([], [], [taken], is_connected=True, listening=LISTENING) == [taken]
+    found = daemon_findings([], [], [taken], is_connected=False, listening=LISTENING)
+    assert [each.code for each in found] == ["no_device", "recordings_taken"]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.guardian.frames import INTERVAL_S, StopWriter, packed, stop_sequence
+from hostlink.guardian.frames import INTERVAL_S, LEAD, StopWriter, packed, stop_sequence
 from hostlink.protocol.frame import STOP_REQUEST, encode
 
 BUFFER_BYTES = 512
@@ -26,13 +26,15 @@ def test_first_zeros_are_repeated_over_the_length_of_any_frame(claim_bytes: int,
     first, *others = [part for _, part in stop_sequence(zeros, claim_bytes, STOP_REQUEST)]
     once = b"\0".join(zeros)
     again_bytes = len(once) + 1
+    assert first.startswith(LEAD + once)
+    first = first.removeprefix(LEAD)
     assert first.removeprefix(once).replace(b"\0" + once, b"") == b""
     assert claim_bytes <= len(first) - 2 * again_bytes + 1 < claim_bytes + again_bytes
     assert others == [once] * 2 + [STOP_REQUEST]
 
 
 def test_a_device_without_zeros_gets_its_end_after_the_length_of_any_frame() -> None:
-    assert stop_sequence((), 3, STOP_REQUEST) == [(0.0, bytes(4)), (pytest.approx(0.15), STOP_REQUEST)]
+    assert stop_sequence((), 3, STOP_REQUEST) == [(0.0, LEAD + bytes(4)), (pytest.approx(0.15), STOP_REQUEST)]
 
 
 def test_parts_have_whole_frames_and_are_as_few_as_the_limit_allows() -> None:

@@ -58,12 +58,13 @@ async def in_a_hub(config: Config, play: Any) -> None:
         running.cancel()
 
 
-def test_a_status_for_the_daemon_each_robot_each_other_device_and_each_port() -> None:
+def test_a_status_for_the_daemon_its_parts_each_robot_each_other_device_and_each_port() -> None:
     async def play(hub: Hub) -> None:
         reader = Reader(hub.join("a monitor"))
         robot = ScriptedDevice(hub, robot_topics(), address="192.168.4.2", peer="192.168.4.2:5000")
         lamp = ScriptedDevice(hub, [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")], address="192.168.4.3")
         hub.diagnoses.observe_port("/dev/ttyACM0", FileNotFoundError(2, "no such port"))
+        hub.diagnoses.observe_own("recordings", "recordings_taken", "by another daemon")
         for _ in range(30):
             await robot.send(Id.LOG, encode_log(Log(1, "WiFi signal -61 dBm")))
             await lamp.send(Id.LOG, encode_log(Log(1, "well")))
@@ -74,7 +75,11 @@ def test_a_status_for_the_daemon_each_robot_each_other_device_and_each_port() ->
             "hostlink: robot_0 link",
             "hostlink: device 192.168.4.3",
             "hostlink: port /dev/ttyACM0",
+            "hostlink: recordings",
         }
+        taken = reader.statuses["hostlink: recordings"]
+        assert (taken["level"], taken["hardware_id"]) == (ERROR, "")
+        assert values_of(taken)["next step"].startswith("give this daemon a folder of its own")
         of_robot = reader.statuses["hostlink: robot_0 link"]
         assert (of_robot["level"], of_robot["message"]) == (OK, "connected")
         assert of_robot["hardware_id"] == "192.168.4.2"

@@ -1,8 +1,14 @@
 """GraphChanges: which watchers are called after a change, when, and with which changes."""
 
 import asyncio
+import time
 
+import pytest
+
+from hostlink.config import Config
 from hostlink.hub.graph_changes import LATEST_S, MAX_KEPT, NOTIFY_AFTER_S, SHARE, GraphChanges, GraphKind
+from hostlink.hub.hub import Hub
+from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import VirtualLoop, run_virtual, virtual
 
 
@@ -51,6 +57,23 @@ def test_watchers_that_cost_much_are_called_less_often_and_leave_most_of_the_loo
     assert run_virtual(run(0.04)) <= SHARE * 1.1
     assert run_virtual(run(0.001)) > 0.01  # each 50 ms
     assert run_virtual(run(1.0)) > 1 / (1 + LATEST_S) - 0.1  # no watcher waits without end
+
+
+@virtual
+async def test_watchers_of_a_slow_machine_are_called_no_later_in_virtual_time() -> None:
+    changes, called_at_s = Hub(Config(), CATALOG).changes, []
+
+    def watcher() -> None:
+        called_at_s.append(loop().time())
+        until_s = time.thread_time() + 10 * NOTIFY_AFTER_S * SHARE
+        while time.thread_time() < until_s:
+            pass
+
+    changes.watch("watcher", watcher)
+    await asyncio.sleep(NOTIFY_AFTER_S)
+    changes.note(GraphKind.TOPIC, "/a")
+    await asyncio.sleep(2 * LATEST_S)
+    assert called_at_s == pytest.approx([NOTIFY_AFTER_S, 2 * NOTIFY_AFTER_S])
 
 
 def test_changes_are_kept_by_name_newest_first_up_to_a_bound() -> None:

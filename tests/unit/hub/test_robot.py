@@ -337,3 +337,45 @@ async def test_link_leads_to_its_device_robot_and_drivables(made: MemoryHub) -> 
     assert robots.of_link("no link") is None
     assert robots.drivables() == [made.robot()]
     assert robots.new_number() > device.link.number
+
+
+@inside(in_hub)
+async def test_poses_with_nan_age_the_last_good_one_and_are_named(made: MemoryHub) -> None:
+    device = await made.connect()
+    for number in range(5):
+        await device.send(125, pose(0.1 * number))
+        await asyncio.sleep(0.1)
+    for _ in range(30):
+        await device.send(125, struct.pack("<3d", math.nan, 0.0, 0.0))
+        await asyncio.sleep(0.1)
+    robot = made.robot()
+    found = robot.odometry.snapshot(made.now_s)
+    assert found.pose.x_m == pytest.approx(0.4)
+    assert found.age_s == pytest.approx(3.0, abs=0.3)
+    assert (found.rate_hz, found.ignored) == (0.0, 30)
+    assert robot.why_unknown() == "it sent 30 poses with NaN or infinity in the last 30 s"
+    assert "bad_pose" in robot.state(made.now_s).device_errors
+
+
+@inside(in_hub)
+async def test_driven_robot_whose_odometry_runs_backwards_is_found(made: MemoryHub) -> None:
+    device = await made.connect()
+    robot = made.robot()
+    for number in range(40):
+        drive_gate(robot, PlanarVelocity(0.3), owner="ann")
+        await device.send(125, pose(-0.03 * number))
+        await asyncio.sleep(0.1)
+    assert "odometry_disagrees" in robot.state(made.now_s).device_errors
+
+
+@inside(in_hub)
+async def test_robot_that_follows_its_commands_has_no_finding(made: MemoryHub) -> None:
+    device = await made.connect()
+    robot = made.robot()
+    for number in range(100):
+        drive_gate(robot, PlanarVelocity(0.3), owner="ann")
+        await device.send(125, pose(0.03 * number))
+        await asyncio.sleep(0.1)
+    assert not {"odometry_disagrees", "odometry_jumps", "bad_pose", "odometry_unsent"} & set(
+        robot.state(made.now_s).device_errors
+    )

@@ -59,11 +59,14 @@ async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) 
     robot = made.hub.robots.find(name)
     assert robot.link is device.link
     assert {each: made.hub.topics.find(each).type_name for each in TYPES} == TYPES
-    made.hub.join("driver").drive(robot, PlanarVelocity(0.1))
+    driver = made.hub.join("driver")
+    driver.drive(robot, PlanarVelocity(0.1))
     await asyncio.sleep(0.1)
+    driver.leave()
     publish(made.hub, VELOCITY, {"linear": {"x": 0.2}}, source="by topic")
     publish(made.hub, RESET, {}, source="by topic")
     await asyncio.sleep(0.1)
+    publish(made.hub, VELOCITY, {}, source="by topic")  # it lets go
     speeds = [struct.unpack("<6d", payload)[0] for payload in device.payloads(VELOCITY_ID)]
     assert {0.1, 0.2} <= set(speeds)
     assert device.payloads(101)

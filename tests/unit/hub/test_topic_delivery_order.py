@@ -6,7 +6,7 @@ import struct
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hostlink.hub.message import Message
+from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.participant import Participant
 from hostlink.hub.topic import MAX_WAITING, Subscriber
 from hostlink.hub.topic_graph import TopicGraph
@@ -88,11 +88,11 @@ async def test_an_older_velocity_does_not_overtake_the_one_that_it_caused(made: 
         shared = topic(Id.SUBSCRIBER, VELOCITY_ID, "/cmd_vel", "geometry_msgs/Twist")
         devices.append(ScriptedDevice(made.hub, [odometry, own, shared], address=address))
         await asyncio.sleep(0.5)
-    careful, sender = made.hub.join("careful"), made.hub.join("sender")
+    careful, sender = made.hub.join("careful", priority=60), made.hub.join("sender")
 
     def slow_down(message: Message) -> None:
         if struct.unpack_from("<d", message.payload)[0] == 0.8:
-            careful.publish("/cmd_vel", PlanarVelocity(0.1).encode())
+            careful.publish("/cmd_vel", PlanarVelocity(0.1).encode(), priority=PROGRAM_PRIORITY + 1)
 
     careful.subscribe("/cmd_vel", slow_down)
     heard = recorder_of_speeds(made.hub.join("log"), "/cmd_vel")

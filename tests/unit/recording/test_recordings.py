@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import shutil
+import threading
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from hostlink.hub.robot_events import EventKind
 from hostlink.recording import recordings as module
 from hostlink.recording.channel import EVENTS
 from hostlink.recording.drives import DIED, Drive, DriveLog, append_drives, read_drives
+from hostlink.recording.folder import Folder
 from hostlink.recording.mcap_writer import FileThread
 from hostlink.recording.reader import McapReader
 from hostlink.recording.recorder import TopicSelection
@@ -32,8 +34,14 @@ BOOL = "std_msgs/Bool"
 
 @contextlib.asynccontextmanager
 async def running(folder: Path, **settings: object) -> AsyncIterator[tuple[Hub, Recordings]]:
-    config = replace(RecordingConfig(folder=folder), **settings)  # type: ignore[arg-type]
-    hub = Hub(replace(Config(), recording=config), CATALOG, reraises=True)
+    recording = replace(RecordingConfig(folder=folder), **settings)  # type: ignore[arg-type]
+    async with running_hub(replace(Config(), recording=recording)) as found:
+        yield found
+
+
+@contextlib.asynccontextmanager
+async def running_hub(config: Config) -> AsyncIterator[tuple[Hub, Recordings]]:
+    hub = Hub(config, CATALOG, reraises=True)
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(hub.run())
         await hub.is_running.wait()
@@ -151,6 +159,76 @@ async def test_second_daemon_of_a_folder_changes_nothing_in_it_and_says_whose_it
         assert any(McapReader(tmp_path / "run.mcap").messages(lambda c: c.topic == "/door"))
     async with running(tmp_path) as (_, later):
         await later.start(ALL, name="later")
+
+
+def findings(hub: Hub) -> list[tuple[str, str]]:
+    """Return code and detail of each finding about the folder."""
+    found = hub.diagnoses.daemon_findings("listening on no port")
+    return [(each.code, each.detail) for each in found if each.code.startswith("recordings_")]
+
+
+async def test_daemon_whose_folder_another_one_owns_has_a_finding_until_that_one_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "FOLDER_INTERVAL_S", 0.01)
+    async with contextlib.AsyncExitStack() as stack:
+        async with running(tmp_path) as (first, _):
+            with capture_logs() as logs:
+                second, _ = await stack.enter_async_context(running(tmp_path))
+            ((code, detail),) = findings(second)
+            assert code == "recordings_taken"
+            assert detail.startswith(f"{tmp_path} belongs to the daemon with process id ")
+            assert not findings(first)
+            assert [line["code"] for line in logs if line["event"] == "daemon.diagnosed"] == [code]
+        await expect(lambda: not findings(second))
+
+
+async def test_removed_folder_is_a_finding_and_is_made_again_as_soon_as_that_is_possible(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "FOLDER_INTERVAL_S", 0.01)
+    monkeypatch.setattr(module, "REMOVED_S", 0.5)
+    place = tmp_path / "state"
+    async with running(place / "recordings") as (hub, recordings):
+        assert not findings(hub)
+        shutil.rmtree(place)
+        await expect((place / "recordings" / ".owner").exists)
+        await expect(lambda: findings(hub) == [("recordings_removed", str(place / "recordings"))])
+        await expect(lambda: not findings(hub))
+        place.rename(tmp_path / "elsewhere")
+        place.write_text("no folder")
+        await expect(lambda: [code for code, _ in findings(hub)] == ["recordings_unusable"])
+        place.unlink()
+        await expect(lambda: [code for code, _ in findings(hub)] == ["recordings_removed"])
+        await recordings.start(ALL, name="run")
+
+
+async def test_full_disk_is_a_finding_while_nothing_is_recorded(tmp_path: Path) -> None:
+    async with running(tmp_path, min_free_disk_mb=1e12) as (hub, _):
+        ((code, detail),) = findings(hub)
+        assert code == "recordings_unusable"
+        assert "are free, less than min_free_disk_mb = 1e+12" in detail
+
+
+async def test_disk_that_does_not_answer_is_a_finding_until_it_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "FOLDER_INTERVAL_S", 0.01)
+    monkeypatch.setattr(module, "DISK_S", 0.01)
+    answers = threading.Event()
+    monkeypatch.setattr(Folder, "check", lambda _: answers.wait(30.0))
+    async with running(tmp_path) as (hub, _):
+        await expect(lambda: findings(hub) == [("recordings_unusable", f"{tmp_path}: its disk does not answer")])
+        answers.set()
+        await expect(lambda: not findings(hub))
+
+
+async def test_daemon_that_keeps_nothing_has_no_finding_about_its_folder(tmp_path: Path) -> None:
+    async with running(tmp_path):
+        config = replace(Config(), recording=RecordingConfig(folder=tmp_path, drives=False))
+        config = replace(config, black_box=replace(config.black_box, enabled=False))
+        async with running_hub(config) as (hub, _):
+            assert not findings(hub)
 
 
 async def pieces() -> AsyncIterator[bytes]:

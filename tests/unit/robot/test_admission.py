@@ -1,5 +1,6 @@
 """Admission: one test for each row of its tables."""
 
+import itertools
 from typing import Any
 
 import pytest
@@ -24,7 +25,7 @@ from hostlink.robot.admission import (
     named,
 )
 from hostlink.robot.kinematics import AckermannDrive, DifferentialDrive
-from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
+from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity, Twist
 
 FORWARD = PlanarVelocity(0.3)
 
@@ -52,8 +53,10 @@ class Timeline:
         stamp_age_s: float | None = None,
         topic: str = "",
         is_planar: bool = True,
+        take_over: bool = False,
     ) -> Decision:
-        command = Command(velocity, source, priority, self.now_s - waited_s, sent_s, epoch, stamp_age_s, is_planar)
+        received_s = self.now_s - waited_s
+        command = Command(velocity, source, priority, received_s, sent_s, epoch, stamp_age_s, is_planar, take_over)
         return self.admission.decide(command, self.now_s, topic=topic)
 
     def driver(self, topic: str = "") -> object:
@@ -510,9 +513,173 @@ def test_lower_priority_is_refused_while_a_higher_one_holds_and_continues_afterw
     assert robot.command(source="bob", priority=10).is_admitted
 
 
-def test_same_priority_takes_the_robot_over(driven: Timeline) -> None:
+def test_source_of_the_same_priority_is_held_until_the_other_lets_go(driven: Timeline) -> None:
+    for _ in range(9):
+        driven.wait(LEASE_S - 0.01)
+        refusal = driven.command(source="bob")
+        assert (refusal.kind, refusal.holder, refusal.by) == (RefusalKind.HELD, "ann", "ann")
+        assert refusal.reason == (
+            "robot_0: ann drives it with the same priority; wait until it lets go, stop it, or use take_over"
+        )
+        assert driven.command().is_admitted
+
+
+@pytest.mark.parametrize("how", ["zero", "silence", "leave", "stop"])
+def test_source_of_the_same_priority_drives_once_the_other_let_go_or_was_stopped(driven: Timeline, how: str) -> None:
+    assert driven.command(source="bob").kind is RefusalKind.HELD
+    if how == "zero":
+        assert driven.command(ZERO).is_admitted
+    elif how == "silence":
+        driven.wait(LEASE_S)
+    elif how == "leave":
+        driven.admission.withdraw("ann")
+    else:
+        driven.wait(LEASE_S - 0.1)
+        assert driven.command().is_admitted
+        assert driven.command(ZERO, source="bob").kind is RefusalKind.HELD  # which arms it for after the stop
+        driven.stop()
     assert driven.command(source="bob").is_admitted
     assert driven.driver() == "bob"
+
+
+@pytest.fixture
+def taken(driven: Timeline) -> Timeline:
+    """Driven by bob, who has just taken the robot over from ann."""
+    assert driven.command(source="bob").kind is RefusalKind.HELD
+    assert driven.command(source="bob", take_over=True).is_admitted
+    assert driven.driver() == "bob"
+    return driven
+
+
+@pytest.mark.parametrize("take_over", [False, True])
+@pytest.mark.parametrize("has_epoch", [False, True])
+def test_source_that_was_taken_over_is_held_by_the_other_until_it_lets_go(
+    taken: Timeline, *, take_over: bool, has_epoch: bool
+) -> None:
+    for _ in range(9):
+        taken.wait(LEASE_S - 0.01)
+        assert taken.command(source="bob", take_over=take_over).is_admitted
+        refusal = taken.command(take_over=take_over, epoch=taken.admission.epoch if has_epoch else None)
+        assert (refusal.kind, refusal.holder) == (RefusalKind.HELD, "bob")
+        assert refusal.reason == (
+            "robot_0: bob has taken it over; to take it over again, send a zero, or pause for 0.5 s first"
+        )
+    assert taken.driver() == "bob"
+
+
+@pytest.mark.parametrize("priority", [50, 60])
+def test_source_that_was_taken_over_is_disarmed_when_no_other_holds_the_robot(taken: Timeline, priority: int) -> None:
+    if priority == 50:
+        assert taken.command(ZERO, source="bob").is_admitted
+    for _ in range(3):
+        taken.wait(0.1)
+        refusal = taken.command(priority=priority, epoch=taken.admission.epoch, take_over=True)
+        assert (refusal.kind, refusal.by) == (RefusalKind.DISARMED, "a take-over by bob")
+        assert refusal.reason == "robot_0: bob took it over; to drive again, send a zero, or pause for 0.5 s"
+
+
+@pytest.mark.parametrize("how", ["zero", "silence"])
+def test_source_that_was_taken_over_may_take_over_after_it_let_go(taken: Timeline, how: str) -> None:
+    if how == "zero":
+        assert taken.command(ZERO).kind is RefusalKind.HELD  # a zero of another does not stop bob
+    else:
+        taken.wait(LEASE_S)
+        assert taken.command(source="bob").is_admitted
+    assert taken.command().kind is RefusalKind.HELD
+    assert taken.command(take_over=True).is_admitted
+    assert taken.driver() == "ann"
+    assert taken.command(source="bob", take_over=True).kind is RefusalKind.HELD
+
+
+def test_take_over_interrupts_none_but_the_driver(driven: Timeline) -> None:
+    epoch = driven.admission.epoch
+    for source in ("bob", "eve"):
+        assert driven.command(source=source, epoch=epoch).kind is RefusalKind.HELD
+    assert driven.command(source="bob", epoch=epoch, take_over=True).is_admitted
+    assert driven.command(source="bob", epoch=epoch).is_admitted
+    assert driven.command(source="eve", epoch=epoch, priority=60).is_admitted
+
+
+@pytest.mark.parametrize("how", ["stop", "lock"])
+def test_take_over_replaces_no_release_after_an_interruption(driven: Timeline, how: str) -> None:
+    assert driven.command(source="bob").kind is RefusalKind.HELD
+    if how == "stop":
+        driven.stop()
+    else:
+        driven.admission.lock("smoke", driven.now_s)
+        assert driven.command(source="bob", take_over=True).kind is RefusalKind.LOCKED
+        driven.admission.unlock(driven.now_s)
+    driven.wait(0.1)
+    assert driven.command(source="bob", take_over=True).kind is RefusalKind.DISARMED
+    assert driven.command(take_over=True).kind is RefusalKind.DISARMED
+
+
+def test_source_that_was_taken_over_must_let_go_after_a_later_stop_too(taken: Timeline) -> None:
+    taken.stop()
+    taken.wait(0.1)
+    refusal = taken.command(epoch=taken.admission.epoch)
+    assert (refusal.kind, refusal.by) == (RefusalKind.DISARMED, "a take-over by bob")
+    assert taken.command(ZERO).is_admitted
+    assert taken.command().is_admitted
+
+
+def test_higher_priority_is_not_taken_over(robot: Timeline) -> None:
+    assert robot.command(priority=60).is_admitted
+    refusal = robot.command(source="bob", take_over=True)
+    assert (refusal.kind, refusal.holder) == (RefusalKind.HELD, "ann")
+    assert "with a higher priority" in refusal.reason
+    assert robot.driver() == "ann"
+
+
+def test_source_that_a_higher_priority_overruled_drives_afterwards_without_letting_go(driven: Timeline) -> None:
+    assert driven.command(source="bob", priority=60, take_over=True).is_admitted
+    assert driven.command().kind is RefusalKind.HELD
+    assert driven.command(ZERO, source="bob", priority=60).is_admitted
+    assert driven.command().is_admitted
+
+
+def test_take_over_of_a_robot_at_rest_drives(robot: Timeline) -> None:
+    assert robot.command(take_over=True).is_admitted
+    robot.wait(LEASE_S)
+    assert robot.command(source="bob", take_over=True).is_admitted
+    assert robot.command().kind is RefusalKind.HELD  # it was not taken over
+    assert robot.command(take_over=True).is_admitted
+
+
+def test_take_over_of_one_topic_ends_all_that_its_driver_drove(driven: Timeline) -> None:
+    for topic, source in (("arm", "ann"), ("other", "eve")):
+        assert driven.command(topic=topic, source=source).is_admitted
+    assert driven.command(topic="arm", source="bob", take_over=True).is_admitted
+    assert driven.driver() is None
+    assert (driven.driver("arm"), driven.driver("other")) == ("bob", "eve")
+    assert driven.command().kind is RefusalKind.DISARMED
+    assert driven.command(topic="arm").kind is RefusalKind.HELD
+    assert driven.command(ZERO, topic="arm", source="bob").is_admitted
+    assert driven.command(source="carl", priority=10).kind is RefusalKind.HELD  # by eve
+
+
+def test_driver_that_is_more_important_by_another_topic_alone_keeps_each_topic_at_its_priority(robot: Timeline) -> None:
+    assert robot.command(topic="arm", priority=60).is_admitted
+    assert robot.command(priority=40).is_admitted  # the newest one
+    refusal = robot.command(topic="arm", source="bob", take_over=True)
+    assert (refusal.kind, refusal.holder) == (RefusalKind.HELD, "ann")
+    assert "with a higher priority" in refusal.reason
+    assert robot.command(source="bob").is_admitted
+
+
+@pytest.mark.parametrize("period_s", [0.02, 0.1, 0.4])
+@pytest.mark.parametrize("take_over", [False, True])
+def test_two_sources_of_one_priority_do_not_shake_the_robot(
+    robot: Timeline, period_s: float, *, take_over: bool
+) -> None:
+    drivers = []
+    for _ in range(100):
+        for source in ("ann", "bob"):
+            robot.command(source=source, take_over=take_over)
+            drivers.append(robot.driver())
+        robot.wait(period_s)
+    changes = sum(before != after for before, after in itertools.pairwise(drivers))
+    assert changes == take_over  # at most one: the first take-over
 
 
 def test_source_may_change_its_priority(robot: Timeline) -> None:
@@ -573,7 +740,7 @@ def test_zero_of_the_driver_ends_its_lease(driven: Timeline) -> None:
 def test_source_that_was_overruled_holds_no_robot_after_the_zero_of_the_other(
     driven: Timeline, priority: int, topic: str
 ) -> None:
-    assert driven.command(source="bob", priority=priority, topic=topic).is_admitted
+    assert driven.command(source="bob", priority=priority, topic=topic, take_over=True).is_admitted
     assert driven.command(ZERO, source="bob", priority=priority, topic=topic).is_admitted
     is_beside = topic == "other" and priority == 50  # then both drive
     assert driven.driver() == ("ann" if is_beside else None)
@@ -596,9 +763,13 @@ def test_end_of_one_topic_keeps_the_robot_held(driven: Timeline) -> None:
     assert not driven.admission.is_held(driven.now_s)
 
 
-def test_one_more_source_than_the_limit_is_refused_unless_it_is_more_important(robot: Timeline) -> None:
+def crowd(robot: Timeline, *, priority: int = 50, topics: bool = False) -> None:
     for number in range(MAX_SOURCES):
-        assert robot.command(source=f"{number}").is_admitted
+        robot.command(source=f"{number}", priority=priority, topic=f"{number}" if topics else "")
+
+
+def test_one_more_source_than_the_limit_is_refused_unless_it_is_more_important(robot: Timeline) -> None:
+    crowd(robot)
     assert robot.command(source="ann").kind is RefusalKind.CROWDED
     assert robot.command(source="ann", priority=60).is_admitted
     assert robot.command(ZERO, source="bob").kind is RefusalKind.HELD
@@ -606,15 +777,10 @@ def test_one_more_source_than_the_limit_is_refused_unless_it_is_more_important(r
     assert robot.command(source="bob").is_admitted
 
 
-def crowd(robot: Timeline, *, priority: int = 50, topics: bool = False) -> None:
-    for number in range(MAX_SOURCES):
-        robot.command(source=f"{number}", priority=priority, topic=f"{number}" if topics else "")
-
-
 def test_of_equals_the_one_gives_way_that_commanded_the_longest_ago(robot: Timeline) -> None:
     crowd(robot)
-    assert robot.command(source="0").is_admitted
-    assert robot.command(source="1").is_admitted  # and drives
+    assert robot.command(source="1").kind is RefusalKind.HELD
+    assert robot.command(source="0").is_admitted  # and drives
     assert robot.command(source="ann", priority=60).is_admitted
     robot.stop()
     assert robot.command(source="0").kind is RefusalKind.DISARMED
@@ -624,8 +790,8 @@ def test_of_equals_the_one_gives_way_that_commanded_the_longest_ago(robot: Timel
 def test_the_least_important_of_several_gives_way(robot: Timeline) -> None:
     assert robot.command(source="bob", priority=10).is_admitted
     for number in range(1, MAX_SOURCES):
-        assert robot.command(source=f"{number}").is_admitted
-    assert robot.command(source="ann", priority=50).is_admitted
+        assert robot.command(source=f"{number}").is_admitted == (number == 1)
+    assert robot.command(source="ann", priority=50).kind is RefusalKind.HELD  # it has a record
 
 
 def test_source_that_drives_never_gives_way(robot: Timeline) -> None:
@@ -642,8 +808,8 @@ def test_sources_that_only_were_refused_are_as_important_as_they_said(robot: Tim
 def test_source_that_gave_a_zero_gives_its_record_to_another_in_a_crowd(robot: Timeline) -> None:
     crowd(robot, priority=60)
     assert robot.command(source="ann").kind is RefusalKind.CROWDED
-    assert robot.command(ZERO, source=f"{MAX_SOURCES - 1}").is_admitted
-    assert robot.command(source="ann").is_admitted  # the others were overruled, one after the other
+    assert robot.command(ZERO, source="0").is_admitted
+    assert robot.command(source="ann").is_admitted  # the others were refused
 
 
 def test_sources_that_let_go_after_a_stop_give_way(robot: Timeline) -> None:
@@ -664,8 +830,7 @@ def test_sources_that_drove_when_the_device_left_are_not_forgotten(robot: Timeli
 
 
 def test_disarmed_source_is_never_forgotten_for_another(robot: Timeline) -> None:
-    for number in range(MAX_SOURCES):
-        assert robot.command(source=f"{number}").is_admitted
+    crowd(robot)
     robot.stop()
     assert robot.command(source="ann", priority=100).kind is RefusalKind.CROWDED
     assert robot.command(source="0").kind is RefusalKind.DISARMED
@@ -936,6 +1101,53 @@ def test_zero_of_one_topic_ends_no_hold_by_another_topic_of_the_robot(robot: Tim
     assert robot.command(source="program", topic="arm_vel").is_admitted
 
 
+def test_zeros_to_one_topic_arm_no_source_that_still_commands_another(robot: Timeline) -> None:
+    """A gamepad may publish both: its arm at rest must not end what a stop of the base asks for."""
+    assert robot.command(topic="base").is_admitted
+    assert robot.command(ZERO, topic="arm").is_admitted
+    robot.stop()
+    for _ in range(9):
+        robot.wait(LEASE_S - 0.1)
+        assert robot.command(ZERO, topic="arm").is_admitted
+        assert robot.command(topic="base").kind is RefusalKind.DISARMED
+    assert robot.command(ZERO, topic="base").is_admitted
+    assert robot.command(topic="base").is_admitted
+
+
+def test_topic_that_a_source_commanded_long_before_a_stop_keeps_it_from_nothing(robot: Timeline) -> None:
+    assert robot.command(topic="arm").is_admitted
+    for _ in range(2):
+        robot.wait(LEASE_S - 0.1)
+        assert robot.command(topic="base").is_admitted
+    robot.stop()
+    assert robot.command(ZERO, topic="base").is_admitted
+    assert robot.command(topic="base").is_admitted
+
+
+def test_source_that_was_taken_over_and_stopped_is_disarmed_also_when_another_drives(taken: Timeline) -> None:
+    taken.stop()
+    assert taken.command(source="eve").is_admitted
+    refusal = taken.command()
+    assert (refusal.kind, refusal.holder) == (RefusalKind.DISARMED, None)
+
+
+def test_source_that_was_taken_over_gives_its_record_to_no_other_in_a_crowd(taken: Timeline) -> None:
+    for number in range(2, MAX_SOURCES):
+        taken.command(source=f"{number}", priority=60, topic=f"{number}")
+    assert taken.command(source="eve", priority=100).is_admitted  # with the record of bob
+    assert taken.command().kind is RefusalKind.HELD
+    assert taken.command(source="bob").kind is RefusalKind.CROWDED
+
+
+def test_source_that_was_taken_over_lets_go_of_every_topic_before_it_takes_over(driven: Timeline) -> None:
+    assert driven.command(topic="arm").is_admitted
+    assert driven.command(source="bob", take_over=True).is_admitted
+    assert driven.command(ZERO, topic="arm").is_admitted
+    assert driven.command(take_over=True).kind is RefusalKind.HELD
+    assert driven.command(ZERO).kind is RefusalKind.HELD
+    assert driven.command(take_over=True).is_admitted
+
+
 def test_first_velocity_after_a_zero_with_the_time_of_its_sending_may_be_late(robot: Timeline) -> None:
     robot.command(ZERO, sent_s=7.0)
     robot.wait(2.0)
@@ -948,3 +1160,8 @@ def test_zeros_with_the_time_of_their_sending_leave_room_for_other_sources(robot
         robot.command(ZERO, source=f"client {number}", sent_s=7.0)
     assert robot.command().is_admitted
     assert not robot.command(ZERO, waited_s=1.0).kind
+
+
+def test_admission_names_the_kind_of_its_drive() -> None:
+    assert Timeline(drive=AckermannDrive()).admission.kinematics is Kinematics.ACKERMANN
+    assert Timeline(drive=None).admission.kinematics is Kinematics.SPATIAL

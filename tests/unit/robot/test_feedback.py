@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hostlink.errors import BadPayload, ConfigError
 from hostlink.robot.feedback import RECOGNISED, Feedback, FeedbackKind, FeedbackSettings, recognised
-from hostlink.robot.kinematics import Pose, chord_per_arc, wrap_angle
+from hostlink.robot.kinematics import PLANAR, DifferentialDrive, Drive, Pose, SkidSteerDrive
 from hostlink.robot.readings import ODOMETRY_TYPE, OdometryReading
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.wheel_feedback import JOINT_STATE_TYPE, WheelSettings
@@ -22,38 +22,8 @@ SEPARATION_M, RADIUS_M, TICKS = 0.21, 0.045, 230.4
 M_PER_TICK = math.tau * RADIUS_M / TICKS
 
 
-class TwoWheels:
-    """A differential drive."""
-
-    wheels: tuple[str, ...] = ("left", "right")
-
-    def velocity(self, wheel_speeds: Sequence[float]) -> PlanarVelocity:
-        left, right = wheel_speeds
-        return PlanarVelocity((left + right) / 2, yaw_rad_s=(right - left) / SEPARATION_M)
-
-    def integrate(self, pose: Pose, wheel_m: Sequence[float]) -> Pose:
-        forward_m, _, turned_rad = self.velocity(wheel_m)
-        chord_m, heading_rad = forward_m * chord_per_arc(turned_rad), pose.theta_rad + turned_rad / 2
-        return Pose(
-            pose.x_m + chord_m * math.cos(heading_rad),
-            pose.y_m + chord_m * math.sin(heading_rad),
-            wrap_angle(pose.theta_rad + turned_rad),
-        )
-
-
-class FourWheels(TwoWheels):
-    wheels = ("front_left", "front_right", "rear_left", "rear_right")
-
-    def velocity(self, wheel_speeds: Sequence[float]) -> PlanarVelocity:
-        a, b, c, d = wheel_speeds
-        return super().velocity(((a + c) / 2, (b + d) / 2))
-
-
-class NoWheels(TwoWheels):
-    wheels = ()
-
-
-DRIVE = TwoWheels()
+DRIVE = DifferentialDrive(wheel_separation_m=SEPARATION_M)
+FOUR_WHEELS = SkidSteerDrive(wheel_separation_m=SEPARATION_M)
 PAIR = [("left_ticks", "std_msgs/Int16"), ("right_ticks", "std_msgs/Int16")]
 
 
@@ -169,7 +139,7 @@ def test_counts_give_a_reading_when_both_wheels_have_reported() -> None:
     assert found.pose == pytest.approx(Pose(20 * M_PER_TICK))
 
 
-def test_counts_of_a_board_that_restarts_are_no_leap() -> None:
+def test_counts_of_a_board_that_restarts_do_not_leap() -> None:
     feedback = pair()
     for number in range(20):
         before = feed(feedback, 1000 + 10 * number, 1000 + 10 * number, number * 0.1)
@@ -183,7 +153,7 @@ def test_counts_of_a_board_that_restarts_are_no_leap() -> None:
     assert found.pose == pytest.approx(Pose(200 * M_PER_TICK))
 
 
-def test_counts_of_a_board_that_restarts_in_silence_are_no_leap() -> None:
+def test_counts_of_a_board_that_restarts_in_silence_do_not_leap() -> None:
     feedback = pair()
     feed(feedback, 300, 300, 0.0)
     found = feed(feedback, 5, 5, 8.0)
@@ -192,7 +162,7 @@ def test_counts_of_a_board_that_restarts_in_silence_are_no_leap() -> None:
 
 
 @pytest.mark.parametrize("speed", [3, 20, -20])
-def test_counts_that_roll_through_zero_are_no_restart(speed: int) -> None:
+def test_counts_that_roll_through_zero_are_not_a_restart(speed: int) -> None:
     feedback = pair()
     start = -6 * speed
     for number in range(13):
@@ -203,7 +173,7 @@ def test_counts_that_roll_through_zero_are_no_restart(speed: int) -> None:
     assert found.pose.x_m == pytest.approx(12 * speed * M_PER_TICK)
 
 
-def test_counts_of_a_start_are_no_restart() -> None:
+def test_counts_of_a_start_are_not_a_restart() -> None:
     feedback = pair()
     feed(feedback, 0, 0, 0.0)
     found = feed(feedback, 60, 60, 0.5)
@@ -254,7 +224,7 @@ def test_differences_of_each_message_are_summed_also_those_of_the_faster_wheel()
 
 def test_an_array_of_differences_and_directions() -> None:
     settings = encoders(topic="e", counts="differences", directions=(1, -1, 1, -1))
-    feedback = Feedback([("/e", "std_msgs/Int32MultiArray")], settings, FourWheels())
+    feedback = Feedback([("/e", "std_msgs/Int32MultiArray")], settings, FOUR_WHEELS)
     payload = message_type("std_msgs/Int32MultiArray").encode(
         {"layout": {"dim": [{"label": "wheels", "size": 4, "stride": 4}]}, "data": [10, -10, 10, -10]}
     )
@@ -265,7 +235,7 @@ def test_an_array_of_differences_and_directions() -> None:
 
 
 def test_two_encoders_of_four_wheels_are_the_sides() -> None:
-    feedback = Feedback(PAIR, encoders(), FourWheels())
+    feedback = Feedback(PAIR, encoders(), FOUR_WHEELS)
     feed(feedback, 1000, 1000, 0.0)
     found = feed(feedback, 1010, 1030, 0.1)
     assert found is not None
@@ -277,13 +247,13 @@ def test_two_encoders_of_four_wheels_are_the_sides() -> None:
     [
         ({"ticks_per_turn": None}, DRIVE, "ticks_per_turn of its encoders"),
         ({"ticks_per_turn": None, "wheel_radius_m": None}, DRIVE, "ticks_per_turn and wheel_radius_m of its encoders"),
-        ({}, NoWheels(), "the dimensions of its drive (kinematics)"),
-        ({"wheels": ("front_left", "front_right")}, FourWheels(), "the encoders of rear_left, rear_right"),
+        ({}, PLANAR, "the dimensions of its drive (kinematics)"),
+        ({"wheels": ("front_left", "front_right")}, FOUR_WHEELS, "the encoders of rear_left, rear_right"),
         ({"topics": ("left_ticks",)}, DRIVE, "wheels = [...] of its encoders, which names 1 of left, right"),
     ],
 )
 def test_counts_without_a_dimension_say_whether_the_robot_moves(
-    settings: dict[str, object], drive: TwoWheels, lacks: str
+    settings: dict[str, object], drive: Drive, lacks: str
 ) -> None:
     feedback = Feedback(PAIR, encoders(**settings), drive)
     assert (feedback.kind, feedback.lacks) == (FeedbackKind.MOTION, lacks)

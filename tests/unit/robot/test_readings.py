@@ -90,7 +90,7 @@ def test_reader_of_a_pose2d_names_nan(field: str) -> None:
     ],
 )
 @pytest.mark.parametrize("type_name", QUATERNION_TYPES)
-def test_reader_makes_no_pose_of_an_orientation_that_is_no_rotation(
+def test_reader_makes_no_pose_of_an_orientation_that_is_not_a_rotation(
     type_name: str, orientation: dict[str, float], flaw: Flaw
 ) -> None:
     reading = READERS[type_name](payload(type_name, message_of(type_name, orientation)))

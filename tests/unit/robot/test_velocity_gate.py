@@ -357,3 +357,10 @@ def test_command_after_a_lease_leaves_the_ended_lease_to_the_caller_once(owner: 
     assert ended is not None
     assert (ended.lease.source, ended.was_let_go) == ("ann", owner == "ann" and velocity == ZERO)
     assert ours.pop_ended() is None
+
+
+def test_deceleration_of_zero_is_refused_because_the_robot_would_never_stop() -> None:
+    with pytest.raises(
+        ConfigError, match="max_linear_deceleration_m_s2 must be above zero: the robot would never stop"
+    ):
+        Limits(max_linear_deceleration_m_s2=0.0)

@@ -45,7 +45,7 @@ def test_clock_that_is_set_back_changes_nothing() -> None:
 
 def test_a_new_owner_ramps_from_the_present_velocity() -> None:
     ours = moving(HEAVY)
-    ours.drive("bob", PlanarVelocity(-0.3), priority=50, now_s=1.0)
+    ours.drive("bob", PlanarVelocity(-0.3), priority=60, now_s=1.0)
     given = [ours.step(1.0 + number * 0.1) for number in range(4)]
     assert given == [
         FORWARD,

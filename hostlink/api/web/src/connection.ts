@@ -25,6 +25,7 @@ export interface DriveRequest {
   angular: number;
   priority: number;
   epoch: number | null; // of the robot when this motion began; null: its first command is not answered yet
+  take_over: boolean; // from another source of the same priority
   sent_s: number;
 }
 

@@ -16,8 +16,8 @@ const REFUSED_MS = 1500; // an older refusal is not shown
 const AFTERGLOW_MS = 900; // the daemon may still name this page as the driver
 
 const LEASE_MS = 500;
-const SEEN: Source[] = ["joystick", "keys"]; // they drive where the stick is visible
-const HELD = "held"; // kind of a refusal: another source drives with a higher priority
+const SEEN: Source[] = ["joystick", "keys", "gamepad"]; // they drive where the stick is visible
+const HELD = "held"; // kind of a refusal: another source drives with a higher priority or the same one
 
 const STANDING: Velocity = { linear_m_s: 0, angular_rad_s: 0 };
 
@@ -27,14 +27,14 @@ export class Drive {
   private target: RobotView | undefined; // of the commands; changes only while nothing is held
   private motion = 0; // number of the motion; it increases when controls are first held and when all are released
   private epoch: number | null = null; // of the robot, from the first answer of this motion
-  private unanswered: { at: number; motion: number }[] = []; // commands without an answer
+  private unanswered: { at: number; motion: number; takesOver: boolean }[] = []; // commands without an answer
+  private takesOver = false; // the next commands take the robot over, until one is accepted
   private refusal = "";
   private refusedAt = Number.NEGATIVE_INFINITY;
   private droveAt = Number.NEGATIVE_INFINITY;
   private wasHeld = false; // at the previous command, sent or not
   private showCommand: (command: Deflection) => void = () => {}; // on the stick
   private readonly pause = new Pause();
-  private readonly holders = new Map<string, number>(); // other drivers during this motion, and when they drove
 
   constructor(
     private readonly fleet: Fleet,
@@ -43,6 +43,7 @@ export class Drive {
   ) {
     this.connectSlider("linear", "m/s", 2, 0.2);
     this.connectSlider("angular", "rad/s", 1, 1);
+    find("#take-over").addEventListener("click", () => this.takeOver());
     setInterval(() => this.tick(), TICK_MS);
     for (const event of [...LOST, "pagehide"]) addEventListener(event, () => this.driving.releaseAll());
     document.addEventListener("visibilitychange", () => document.hidden && this.driving.releaseAll());
@@ -63,12 +64,13 @@ export class Drive {
   }
 
   /**
-   * Keep the stick active while a source with a higher priority drives; after other refusals it must be released first.
+   * Keep the stick active while another source drives; after other refusals it must be released first.
    * The refusal of a command of an earlier motion does not end this motion: its own commands are answered too.
    */
   answered(answer: DriveAnswer): void {
     const command = this.unanswered.shift();
     if (answer.result) {
+      if (command?.takesOver) this.takesOver = false;
       if (command?.motion === this.motion) this.epoch ??= answer.epoch ?? null;
       return;
     }
@@ -82,6 +84,7 @@ export class Drive {
   /** Note that the connection changed: earlier commands will not be answered. */
   forget(): void {
     this.driving.releaseAll();
+    this.takesOver = false;
     this.unanswered = [];
   }
 
@@ -91,8 +94,9 @@ export class Drive {
       this.driving.releaseAll(); // the zeros are sent to the robot that was driven
     }
     this.target = robot;
-    if (!this.driving.isHeld) this.holders.clear();
-    else if (robot?.holder) this.holders.set(robot.holder, performance.now());
+    const isHeld = robot !== undefined && this.isHeldByEqual(robot);
+    if (!isHeld) this.takesOver = false;
+    find("#take-over").hidden = !isHeld || this.takesOver;
     if (robot?.locked || robot?.connected === false || !this.canDrive()) this.driving.releaseAll();
     find("#read-only").hidden = this.canDrive() || robot?.locked === true;
     for (const slider of document.querySelectorAll<HTMLInputElement>("#drive input"))
@@ -103,10 +107,18 @@ export class Drive {
     find("#drive-state").title = text;
   }
 
-  /** At equal priority the newest command wins, so two sources can alternate. */
-  private get hasRival(): boolean {
-    const since = performance.now() - AFTERGLOW_MS;
-    return [...this.holders.values()].filter((at) => at > since).length > 1;
+  /** The next controls that are held take the robot over. What is held now must be released first. */
+  private takeOver(): void {
+    this.driving.releaseAll();
+    this.takesOver = true;
+    this.refusedAt = Number.NEGATIVE_INFINITY;
+    this.show();
+  }
+
+  /** Whether another source of this page's priority keeps the robot until it lets go, and this page may drive. */
+  private isHeldByEqual(robot: RobotView): boolean {
+    if (!this.canDrive() || !robot.connected || robot.locked || robot.played) return false;
+    return robot.holder !== null && robot.priority === TELEOP_PRIORITY && this.driver(robot) !== "you";
   }
 
   private get isRefused(): boolean {
@@ -129,9 +141,10 @@ export class Drive {
     if (this.isRefused) return ["refused", this.refusal];
     if (robot.unreachable) return ["refused", `${robot.name} cannot receive: ${robot.unreachable}`];
     const driver = this.driver(robot);
-    if (driver === "you" && this.hasRival) return ["other", "Another client drives it too: release"];
     if (driver === "you") return ["driving", "You drive"];
     if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `${driver} drives with a higher priority`];
+    if (this.takesOver) return ["other", `${driver} drives: hold the stick to take over`];
+    if (this.isHeldByEqual(robot)) return ["other", `${driver} drives until it lets go`];
     if (driver !== null) return ["other", `${driver} drives: your stick takes over`];
     return ["idle", "Ready: no driver"];
   }
@@ -164,11 +177,12 @@ export class Drive {
       angular: velocity.angular_rad_s,
       priority: TELEOP_PRIORITY,
       epoch: this.epoch,
+      take_over: this.takesOver && isHeld,
       sent_s: now / 1000,
     });
     if (!isSent) return;
     this.droveAt = now;
-    this.unanswered.push({ at: now, motion: this.motion });
+    this.unanswered.push({ at: now, motion: this.motion, takesOver: this.takesOver && isHeld });
   }
 
   /** Apply a new top speed. It changes the velocity of held controls and moves nothing by itself. */

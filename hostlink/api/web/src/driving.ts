@@ -21,7 +21,7 @@ export class Driving {
   limits: Velocity = { linear_m_s: 0.2, angular_rad_s: 1 };
 
   private held = new Map<Source, Deflection>();
-  private barred = new Set<Source>(); // held at `releaseAll`: must be released before it drives again
+  private barred = new Set<Source>(); // must be released before it drives again
   private zeros = 0;
 
   /** `send` sends a velocity now, or drops it. */
@@ -49,7 +49,15 @@ export class Driving {
     this.tick();
   }
 
-  /** Treat all controls as released. */
+  /** Treat a control as released until it is. Return false if that was so before. */
+  bar(source: Source): boolean {
+    if (this.barred.has(source)) return false;
+    this.release(source);
+    this.barred.add(source);
+    return true;
+  }
+
+  /** Treat all controls as released, those that are held until they are. */
   releaseAll(): void {
     for (const source of this.held.keys()) this.barred.add(source);
     if (this.isHeld) this.zeros = ZEROS;

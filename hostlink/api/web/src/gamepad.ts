@@ -1,12 +1,19 @@
-/** A gamepad drives with its left stick while a shoulder button is held. Losing the gamepad releases the stick. */
+/**
+ * A gamepad drives with its left stick while a shoulder button is held, where the page's stick is visible. Losing the
+ * gamepad releases the stick.
+ */
 
 import { setText } from "./dom";
 import type { Driving } from "./driving";
+import { isStickShown } from "./joystick";
+import { notice } from "./notice";
 
 const POLL_MS = 16; // the rate at which browsers read it; a short press of the stop must not be missed
 const SHOULDERS = [4, 5]; // of the standard mapping; one of them must be held
 const STOP_BUTTON = 1; // B, or the circle
 const DEAD_ZONE = 0.12;
+const HIDDEN = "The gamepad drives only where the stick is visible.";
+const HIDDEN_MS = 3000;
 
 export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => void): void {
   if (!("getGamepads" in navigator)) {
@@ -20,15 +27,17 @@ export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => 
     // other devices may be listed as gamepads: the one whose shoulder button is held drives
     const pad = pads.find(isEnabledBy) ?? pads[0] ?? null;
     const isEnabled = isHere && isEnabledBy(pad);
-    if (pad !== null && isEnabled) {
+    if (pad !== null && isEnabled && isStickShown()) {
       driving.hold("gamepad", { forward: bend(-(pad.axes[1] ?? 0)), turn: bend(-(pad.axes[0] ?? 0)) });
+    } else if (isEnabled) {
+      if (driving.bar("gamepad")) notice("done", HIDDEN, HIDDEN_MS);
     } else {
       driving.release("gamepad");
     }
     const wantsStop = pads.some((each) => each?.buttons[STOP_BUTTON]?.pressed);
     if (wantsStop && !isStopping) stop();
     isStopping = wantsStop;
-    setText(note, describe(pad, isHere, isEnabled));
+    setText(note, describe(pad, isHere, isEnabled, driving.holds("gamepad")));
   };
   setInterval(poll, POLL_MS);
 }
@@ -37,10 +46,12 @@ function isEnabledBy(pad: Gamepad | null): boolean {
   return SHOULDERS.some((button) => pad?.buttons[button]?.pressed);
 }
 
-function describe(pad: Gamepad | null, isHere: boolean, isEnabled: boolean): string {
+function describe(pad: Gamepad | null, isHere: boolean, isEnabled: boolean, isDriving: boolean): string {
   if (pad === null) return "Gamepad: none found. Press a button on it.";
   if (!isHere) return "Gamepad: another window has the focus. The stop button works.";
-  return isEnabled ? "Gamepad: driving" : "Gamepad: hold a shoulder button (LB, RB) to drive";
+  if (isDriving) return "Gamepad: driving";
+  if (isEnabled) return "Gamepad: release the shoulder button, and hold it again to drive";
+  return "Gamepad: hold a shoulder button (LB, RB) to drive";
 }
 
 function bend(axis: number): number {

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, cast
@@ -46,14 +47,16 @@ class World:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.network = scene, MemoryNetwork()
-        self.desk = Hub(Config(), CATALOG)
+        self.slept_s = 0.0  # the computer of the desk
+        self.desk = Hub(Config(), CATALOG, slept_s=lambda: self.slept_s)
         self.stack = contextlib.AsyncExitStack()
 
     async def begin(self, drivers: tuple[str, ...]) -> None:
         self.running = self.scene.tasks.create_task(self.desk.run())
         await self.desk.is_running.wait()
         for hub, name, zid in ((self.scene.hub, "lab", "1a"), (self.desk, "desk", "2b")):
-            session = cast("ZenohSession", MemorySession(self.network, zid))
+            self.desk_session = MemorySession(self.network, zid)
+            session = cast("ZenohSession", self.desk_session)
             config = ZenohConfig(name=name, drivers=drivers)
             await self.stack.enter_async_context(fleet_running(hub, session, config))
         await asyncio.sleep(2.0)  # the second state of a robot has its topics
@@ -672,6 +675,58 @@ async def test_program_that_sees_no_answers_drives_no_robot_of_another_host(worl
     world.network.deaf.clear()
     await asyncio.sleep(1.5)
     assert (await world.drive()).x_m_s == 0.2
+
+
+@inside(with_fleet)
+async def test_command_that_waited_here_moves_a_robot_of_another_host_for_the_rest_of_its_lease(world: World) -> None:
+    """A command that is 0.3 s old when it is sent: the robot stops 0.5 s after its arrival here."""
+    await world.drive(ZERO)
+    world.program.drive(world.robot(), DRIVE, received_s=now_s() - 0.3)
+    await asyncio.sleep(0.1)
+    assert world.scene.speeds()[-1] == 0.2
+    await asyncio.sleep(0.2)
+    assert world.scene.speeds()[-1] == 0.0
+
+
+@inside(with_fleet)
+async def test_program_whose_computer_has_slept_drives_robots_of_other_hosts(world: World) -> None:
+    """The clock of its event loop stood still for a minute, as that of a laptop whose lid was closed."""
+    await world.drive()
+    sent = world.desk_session.put
+    world.network.drop("2b")
+    await asyncio.sleep(1.0)
+
+    def put_later(key: str, payload: bytes, **options: Any) -> None:
+        """All times of the desk are by a clock that lacks a minute."""
+        decoded = json.loads(payload)
+        if "sent_s" in decoded:
+            decoded["sent_s"] -= 60.0
+        sent(key, json.dumps(decoded).encode(), **options)
+
+    world.desk_session.put = put_later  # type: ignore[method-assign]
+    world.slept_s = 60.0
+    world.network.note_token(Keys(ZenohConfig().fleet_name).key("alive", Sender("desk", "2b")), is_alive=True)
+    await asyncio.sleep(1.5)
+    assert (await world.drive()).x_m_s == 0.2
+
+
+@inside(with_fleet)
+async def test_daemon_whose_messages_do_not_arrive_although_it_has_a_token_is_connected_anew(world: World) -> None:
+    """The state of Zenoh after a freeze of one host: no subscription of one side is known to the other."""
+    world.network.mute.add(("1a", "2b"))
+    await asyncio.sleep(SILENT_S + 0.5)
+    assert world.robot().link is None
+    assert world.network.closed == []
+    await asyncio.sleep(4.0)
+    assert world.network.closed == [("2b", "1a")]
+    assert world.robot().link is not None
+
+
+@inside(with_fleet)
+async def test_daemon_that_stays_silent_is_connected_anew_at_a_limited_rate(world: World) -> None:
+    world.network.deaf.add("2b")
+    await asyncio.sleep(29.5)
+    assert 3 <= len(world.network.closed) <= 5
 
 
 @inside(with_fleet)
