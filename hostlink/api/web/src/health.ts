@@ -67,10 +67,7 @@ export class Health {
     const known_s = isOld ? fleet.age_s(robot) : (robot?.odometry?.age_s ?? link?.silent_s);
     const age_s = robot?.connected ? known_s : undefined;
     const device_s = isKnown ? link?.clock?.round_trip_s : undefined;
-    this.set(
-      "rate",
-      isKnown && robot?.connected && robot.feedback !== "none" ? `${digits(robot.odometry?.rate_hz, 1)} Hz` : "–",
-    );
+    this.set("rate", isKnown && robot?.connected ? `${digits(robot.odometry?.rate_hz, 1)} Hz` : "–");
     this.set("age", age_s === undefined ? "–" : ageText(age_s), isOld || (age_s ?? 0) > OLD_S);
     this.set("lost", link ? bytes(link.skipped_bytes) : "–", (link?.skipped_bytes ?? 0) > 0);
     this.set("resyncs", link ? String(Math.max(0, link.negotiations - 1)) : "–", (link?.negotiations ?? 0) > 1);

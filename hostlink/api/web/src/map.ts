@@ -270,9 +270,7 @@ export class RobotMap {
     const where = path?.pose
       ? `${this.selected} at x ${path.pose.x_m.toFixed(2)} m, y ${path.pose.y_m.toFixed(2)} m, ` +
         `driven ${path.length_m.toFixed(1)} m on this page`
-      : this.fleet.robots.find(({ name }) => name === this.selected)?.feedback === "none"
-        ? "no odometry, so its place is unknown"
-        : "no pose has arrived yet";
+      : "no pose has arrived yet";
     this.canvas.setAttribute("aria-label", `Map: ${where}`);
   }
 }

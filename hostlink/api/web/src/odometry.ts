@@ -40,8 +40,7 @@ export class Odometry {
     find("#pose").classList.toggle("stale", isStale);
     find("#pose").classList.toggle("gone", state === "gone");
     const isOld = robot && (isStale || state === "gone");
-    const isBlind = robot?.feedback === "none";
-    setText(this.age, isBlind ? "no odometry" : isOld ? `${ageText(this.fleet.age_s(robot))} old` : "");
+    setText(this.age, isOld ? `${ageText(this.fleet.age_s(robot))} old` : "");
     const { pose, twist } = robot?.odometry ?? {};
     setText(this.values.x, pose ? `${digits(pose.x_m, 2)} m` : "–");
     setText(this.values.y, pose ? `${digits(pose.y_m, 2)} m` : "–");

@@ -72,7 +72,7 @@ export class RobotList {
     this.count(robots);
     const only = !isStrip() && this.only !== null && this.counts.get(this.only)?.checkVisibility() ? this.only : null;
     const words = !this.filter.checkVisibility() ? [] : this.filter.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const fastest = robots.map(({ odometry }) => Math.abs(odometry?.twist?.linear_m_s ?? 0));
+    const fastest = robots.map(({ odometry }) => Math.abs(odometry?.twist.linear_m_s ?? 0));
     const full_m_s = Math.max(LEAST_SPEED_M_S, ...fastest);
     const hasBattery = robots.some((robot) => batteryText(robot) !== "");
     HEADS.forEach((head, index) => {
@@ -125,9 +125,8 @@ export class RobotList {
     if (card.row.title !== title) card.row.title = title;
     showName(card.name, robot.name, this.prefix);
     setText(card.state, what);
-    const twist = isKnown && robot.connected ? (robot.odometry?.twist ?? undefined) : undefined;
-    const speed = robot.feedback === "none" ? "no odometry" : speedText(robot.odometry?.twist).replace(", ", "\n");
-    setText(card.speed, isKnown && robot.connected ? speed : "");
+    const twist = isKnown && robot.connected ? robot.odometry?.twist : undefined;
+    setText(card.speed, isKnown && robot.connected ? speedText(robot.odometry?.twist).replace(", ", "\n") : "");
     const share = Math.max(-1, Math.min(1, (twist?.linear_m_s ?? 0) / full_m_s)).toFixed(2);
     if (card.share !== share) card.speed.style.setProperty("--share", share);
     card.share = share;

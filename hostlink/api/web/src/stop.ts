@@ -7,7 +7,7 @@ import { commonPrefix, showName, showText } from "./names";
 import { notice } from "./notice";
 import { onPress } from "./press";
 import { ofRobot, reasonOf, Refused, rest } from "./rest";
-import type { CommandEndpointView, RobotView, StoppedRobotView } from "./views";
+import type { RobotView, StoppedRobotView } from "./views";
 
 const AGAIN_MS = 200;
 const GIVE_UP_MS = 15_000;
@@ -207,6 +207,14 @@ export class Stop {
       notice("refused", `Not unlocked: ${reasonOf(error)}`, 6000);
     }
   }
+}
+
+/** A topic of a board that commands a motion and is not a robot's, after a stop or a lock of all. */
+interface CommandEndpointView {
+  peer: string;
+  topic: string;
+  is_zero_sent: boolean;
+  reason: string; // why it was not sent a zero
 }
 
 interface StopRequest {

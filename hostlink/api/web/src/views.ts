@@ -15,30 +15,10 @@ export interface Velocity {
 }
 
 /** Forward, and to the left if that is not 0. */
-export function speedText(velocity: Velocity | null | undefined): string {
+export function speedText(velocity: Velocity | undefined): string {
   const left = digits(velocity?.linear_y_m_s ?? 0, 2);
   const isStraight = left === digits(0, 2);
   return `${digits(velocity?.linear_m_s, 2)} m/s${isStraight ? "" : `, y ${left} m/s`}`;
-}
-
-/** `pose` or `twist` is null if the robot's feedback does not tell it. */
-export interface OdometryView {
-  pose: Pose | null;
-  twist: Velocity | null;
-  is_moving?: boolean | null;
-  age_s: number;
-  rate_hz: number;
-  count: number;
-  restarts?: number;
-}
-
-/** A topic of a board that commands a motion and is not a robot's, after a stop or a lock of all. */
-export interface CommandEndpointView {
-  peer: string;
-  topic: string;
-  is_locked: boolean;
-  is_zero_sent: boolean;
-  reason: string; // why it was not sent a zero
 }
 
 export interface RobotView {
@@ -50,14 +30,13 @@ export interface RobotView {
   frames?: number | null; // number of frames that its device has sent on this link
   velocity_topic: string;
   command_type?: string; // type of velocity_topic
-  feedback?: "pose" | "velocity" | "motion" | "none"; // what is known of its motion
   odometry_topic: string | null; // null: its device publishes no pose
   played?: boolean; // its device is a recording, which cannot be driven
   holder: string | null;
   holder_address?: string | null;
   priority?: number | null;
   velocity: Velocity;
-  odometry: OdometryView | null;
+  odometry: { pose: Pose; twist: Velocity; age_s: number; rate_hz: number; count: number; restarts?: number } | null;
   locked?: boolean;
   lock_reason?: string | null;
   unreachable?: string | null; // why its device could not receive the last velocity
