@@ -19,9 +19,11 @@ from hostlink.api.events import ROLE_HEADER
 from hostlink.api.history import IncidentView
 from hostlink.api.rest import DaemonDiagnosisView, DriveView, ListeningView
 from hostlink.api.views import LinkView, RobotView, StoppedRobotView
+from hostlink.robot.views import CommandEndpointView
 
 BUILT = Path(__file__).parents[2] / "hostlink" / "api" / "web" / "built"
 BEAT_S = 0.1
+OF_ALL = ("/api/stop", "/api/lock")
 
 
 @dataclass
@@ -52,6 +54,7 @@ class State:
     diagnosis: dict[str, Any] = field(default_factory=lambda: {"findings": [], "arrivals": []})
     is_stop_lost: bool = False  # no request that changes something arrives
     standstills: dict[str, dict[str, Any]] = field(default_factory=dict)  # by robot, what differs from standing
+    endpoints: list[dict[str, Any]] = field(default_factory=list)  # of boards, after a stop or a lock of all
 
 
 class PageServer:
@@ -170,7 +173,8 @@ class PageServer:
         if self._state.refusal:
             error = {"kind": "Forbidden", "reason": self._state.refusal}
             return web.json_response({"error": error}, status=self._state.refusal_status)
-        return web.json_response({})
+        msgspec.convert(self._state.endpoints, list[CommandEndpointView])
+        return web.json_response({"endpoints": self._state.endpoints} if request.path in OF_ALL else {})
 
     async def _standstill(self, request: web.Request) -> web.Response:
         names = [view["name"] for view in self._state.robots if request.match_info.get("name") in (None, view["name"])]

@@ -19,6 +19,8 @@ const DONE_MS = 2500;
 const NOT_DONE_MS = 8000;
 const SHORTEST_M_S = 0.005; // a slower robot is reported as turning
 const NAMED = 3; // moving robots named in one line
+const NO_ODOMETRY = "it has no odometry"; // the daemon's reason
+const REASON = "the stop on the page";
 
 export class Stop {
   private readonly button = find<HTMLButtonElement>("#stop");
@@ -74,10 +76,10 @@ export class Stop {
     void this.deliver(name, [{ path: ofRobot(name, "stop") }], new Set([name]));
   }
 
+  /** Lock every robot and every board, also of other daemons, and what connects later. */
   lockAll(): void {
     this.flash();
-    const names = this.fleet.robots.map(({ name }) => name);
-    void this.deliver("every robot", this.fleet.robots.map(lockOf), new Set(names));
+    void this.deliver("every robot", [{ path: "api/lock", body: { reason: REASON } }], null);
   }
 
   /** `canDrive`: whether the user may unlock. */
@@ -114,7 +116,7 @@ export class Stop {
   private async deliver(whom: string, requests: StopRequest[], names: ReadonlySet<string> | null): Promise<void> {
     const press = ++this.presses;
     const until = performance.now() + GIVE_UP_MS;
-    const outcome: Outcome = { missing: requests, refusals: [], reason: "hostlink does not answer" };
+    const outcome: Outcome = { missing: requests, refusals: [], reason: "hostlink does not answer", endpoints: [] };
     for (const { path } of requests) this.newest.set(path, press);
     while (true) {
       await attempt(outcome);
@@ -127,7 +129,7 @@ export class Stop {
           notice("stop", `Not stopped: ${refusals.join("; ")}`, 6000);
         } else {
           if (this.waiting.size === 0) notice("stop", null);
-          await this.measure(whom, names);
+          await this.measure(whom, names, outcome.endpoints);
         }
         return;
       }
@@ -145,7 +147,11 @@ export class Stop {
    * Show the measured result since the stop arrived, with robots of earlier presses that were not measured yet.
    * A later press that arrives meanwhile measures them again.
    */
-  private async measure(whom: string, arrived: ReadonlySet<string> | null): Promise<void> {
+  private async measure(
+    whom: string,
+    arrived: ReadonlySet<string> | null,
+    endpoints: CommandEndpointView[],
+  ): Promise<void> {
     const measurement = ++this.measurements;
     const isShown = (): boolean => measurement === this.measurements && this.waiting.size === 0;
     const names = arrived === null || this.unmeasured === null ? null : new Set([...arrived, ...this.unmeasured]);
@@ -160,8 +166,17 @@ export class Stop {
       const all = "robots" in answer ? answer.robots : [answer];
       const robots = all.filter((robot) => names?.has(robot.name) ?? !robot.played);
       const stopped = robots.filter(({ standstill }) => standstill.state === "stopped").map(({ name }) => name);
-      if (stopped.length === robots.length) this.confirm(new Set(stopped), allStopped(stopped));
-      else notice("stop", notAllStopped(robots, stopped.length), NOT_DONE_MS);
+      const uncovered = endpoints.map(ofBoard);
+      const areStopped = stopped.length === robots.length;
+      if (areStopped && uncovered.length === 0) this.confirm(new Set(stopped), allStopped(stopped));
+      else {
+        const text = areStopped
+          ? robots.length > 0
+            ? [allStopped(stopped)]
+            : []
+          : [notAllStopped(robots, stopped.length)];
+        notice("stop", [...text, ...uncovered].join(" "), NOT_DONE_MS);
+      }
     } catch (error) {
       if (isShown()) notice("stop", `Whether ${whom} is stopped is unknown: ${reasonOf(error)}`, NOT_DONE_MS);
     }
@@ -183,15 +198,23 @@ export class Stop {
     }
   }
 
-  /** Unlock the robots that were locked at the first press. They do not move by that. Failures are named. */
+  /** Unlock every robot and every board; `locked` were locked at the first press. They do not move by that. */
   private async unlockAll(locked: string[]): Promise<void> {
-    const results = await Promise.allSettled(locked.map((name) => rest("POST", ofRobot(name, "unlock"))));
-    const failures = results.flatMap((result, index) =>
-      result.status === "rejected" ? [`${locked[index]}: ${reasonOf(result.reason)}`] : [],
-    );
-    if (failures.length > 0) notice("refused", `Not unlocked: ${failures.join("; ")}`, 6000);
-    else notice("done", `${locked.length} ${locked.length === 1 ? "robot" : "robots"} unlocked.`, 2500);
+    try {
+      await rest("POST", "api/unlock");
+      notice("done", `${locked.length} ${locked.length === 1 ? "robot" : "robots"} unlocked.`, 2500);
+    } catch (error) {
+      notice("refused", `Not unlocked: ${reasonOf(error)}`, 6000);
+    }
   }
+}
+
+/** A topic of a board that commands a motion and is not a robot's, after a stop or a lock of all. */
+interface CommandEndpointView {
+  peer: string;
+  topic: string;
+  is_zero_sent: boolean;
+  reason: string; // why it was not sent a zero
 }
 
 interface StopRequest {
@@ -203,6 +226,7 @@ interface Outcome {
   missing: StopRequest[]; // not arrived yet
   refusals: string[];
   reason: string; // of the last failed attempt
+  endpoints: CommandEndpointView[]; // of boards, after a stop or a lock of all
 }
 
 /** Send the missing requests once. */
@@ -211,7 +235,8 @@ async function attempt(outcome: Outcome): Promise<void> {
   outcome.missing = [];
   const send = async (each: StopRequest) => {
     try {
-      await rest("POST", `${each.path}?wait_s=0`, each.body);
+      const answer = await rest<{ endpoints?: CommandEndpointView[] }>("POST", `${each.path}?wait_s=0`, each.body);
+      outcome.endpoints.push(...(answer.endpoints ?? []));
     } catch (error) {
       if (error instanceof Refused && error.status !== BUSY && error.status < FAILED) refusals.push(error.message);
       else {
@@ -224,12 +249,18 @@ async function attempt(outcome: Outcome): Promise<void> {
 }
 
 function lockOf(robot: RobotView): StopRequest {
-  return { path: ofRobot(robot.name, "lock"), body: { reason: "the stop on the page" } };
+  return { path: ofRobot(robot.name, "lock"), body: { reason: REASON } };
 }
 
 function allStopped(names: string[]): string {
   if (names.length === 0) return "No robot to stop.";
   return names.length === 1 ? `${names[0]} is stopped.` : `All ${names.length} robots are stopped.`;
+}
+
+/** What became of a topic that is not a robot's. */
+function ofBoard({ peer, topic, is_zero_sent, reason }: CommandEndpointView): string {
+  if (!is_zero_sent) return `${topic} of ${peer} was not sent a zero: ${reason}.`;
+  return `${topic} of ${peer}: zero sent; it is not a robot's, so nobody can say that it is stopped.`;
 }
 
 /** `2 of 3 robots are stopped. robot_1 moves at 0.10 m/s, driven by client 3.` */
@@ -243,6 +274,7 @@ function notAllStopped(robots: StoppedRobotView[], stopped: number): string {
 
 function describe({ name, standstill }: StoppedRobotView): string {
   const { state, reason } = standstill;
+  if (reason === NO_ODOMETRY) return `Zero sent; ${name} has no odometry, so nobody can say that it is stopped.`;
   if (state === "unknown") return `Whether ${name} is stopped is unknown: ${reason}.`;
   const [speed, turn] = [Math.abs(standstill.speed_m_s ?? 0), Math.abs(standstill.turn_rad_s ?? 0)];
   const motion = speed > SHORTEST_M_S ? `moves at ${digits(speed, 2)} m/s` : `turns at ${digits(turn, 2)} rad/s`;
