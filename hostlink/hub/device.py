@@ -3,7 +3,7 @@
 import dataclasses
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,7 @@ from hostlink.robot.admission import Admission
 from hostlink.robot.command_types import FixedZero, TopicType
 from hostlink.robot.model import NO_SETTINGS, Endpoint, RobotTopicNames, is_velocity
 from hostlink.robot.names import Presence
+from hostlink.robot.parts import Membership
 from hostlink.robot.state import BATTERY_TYPE
 from hostlink.robot.velocity import ZERO, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
@@ -82,6 +83,12 @@ class ShownNames:
         return robot if shown == robot else shown  # most have the same names: kept once
 
 
+def endpoints_of(infos: Iterable[TopicInfo]) -> list[Endpoint]:
+    """Return the topics of an announcement as the model of robots knows them."""
+    kinds = (Id.PUBLISHER, Id.SUBSCRIBER)
+    return [Endpoint(info.name, info.type, info.kind is Id.SUBSCRIBER) for info in infos if info.kind in kinds]
+
+
 _HEADER = Field("header", "std_msgs/Header")
 _STAMP = struct.Struct("<4xII")  # seq, secs, nsecs
 _NS_PER_S = 1_000_000_000
@@ -115,8 +122,8 @@ class Device:
     """
 
     __slots__ = (
-        "_awaited", "_hub", "_observers", "_odometry", "diagnosis", "drivables", "early", "infos",
-        "is_undecided", "link", "lost", "names", "parameters", "presence", "robot", "routes", "services",
+        "_awaited", "_hub", "_observers", "_odometry", "_reader", "diagnosis", "drivables", "early", "infos",
+        "is_undecided", "link", "lost", "member", "names", "parameters", "presence", "robot", "routes", "services",
         "settings", "shown", "stop_frames",
     )  # fmt: skip
 
@@ -129,6 +136,7 @@ class Device:
         self.stop_frames: list[bytes] = []  # frames that the guardian sends to stop it; set by Gates
         self.lost: dict[str, LostEndpoint] = {}  # velocity endpoints that an announcement gave up; set by Gates
         self.settings = NO_SETTINGS  # of its robot's command
+        self.member: Membership | None = None  # of a robot of several devices
         self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()
         self.names: frozenset[str] = frozenset()  # names of its topics in the graph
@@ -140,6 +148,7 @@ class Device:
         self._observers: dict[int, Callable[[bytes], None]] = {}  # readers of the hub itself, by id
         self._awaited: dict[str, None] = {}  # services that may still answer a call from before the last `leave`
         self._odometry: list[tuple[Topic, int]] = []  # where the robot reads its pose, and as which subscriber
+        self._reader: LocalRobot | None = None  # robot of several devices that reads this one
         self._hub = hub
 
     def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: LocalRobot | None = None) -> None:
@@ -173,10 +182,11 @@ class Device:
             drivable.echoes.pop(name, None)
         self._hub.topics.unadvertise(name, self.link)
         self._hub.topics.unsubscribe_device(name, self.link)
-        if robot is not None and name in {self.shown.of(own) for own, _ in robot.feedback.topics}:
+        reader = robot or self._reader
+        if reader is not None and name in {self.shown.of(own) for own, _ in reader.feedback.topics}:
             self._end_odometry()
             for info in self.infos:
-                self._route_refused(info, robot)
+                self._route_refused(info, reader)
 
     def receive(self, message: MessageReceived, read: tuple[float, float] | None = None) -> None:
         """Publish a message of the device. `read` is when it was read and may have arrived; None: with the last read.
@@ -196,9 +206,28 @@ class Device:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
     @property
+    def endpoints(self) -> list[Endpoint]:
+        """Its topics as the model of robots knows them."""
+        return endpoints_of(self.infos)
+
+    @property
     def sent_topics(self) -> list[TopicType]:
         """Topics that the device sends, by its own names."""
         return [TopicType(info.name, info.type) for info in self.infos if info.kind is Id.PUBLISHER]
+
+    def read_for(self, robot: LocalRobot | None) -> None:
+        """Read the topics of a robot's feedback that come from this device, one of several of the robot's."""
+        self._end_odometry()
+        self._reader = robot
+        if robot is None:
+            return
+        for info in self.infos:
+            if info.kind is Id.PUBLISHER and self._reads(info, robot):
+                topic = self.routes.get(info.topic_id)
+                if topic is None:
+                    self._route_refused(info, robot)
+                else:
+                    self._subscribe_robot(info.name, topic, robot)
 
     def announced_again(self) -> None:
         """Send latched messages again: a board that announces the same topics may have restarted."""
@@ -232,6 +261,7 @@ class Device:
     def leave(self) -> None:
         """Remove everything of this device from the graph."""
         self._end_odometry()
+        self._reader = None
         self.routes.clear()
         self._observers.clear()
         self.names = frozenset()
@@ -263,15 +293,21 @@ class Device:
             self._observers[info.topic_id] = partial(self._observe_battery, robot)
         elif topic.type is not None and topic.type.fields[:1] == (_HEADER,):
             self._observers[info.topic_id] = self._observe_stamp
-        if robot is not None and (info.name, info.type) in robot.feedback.topics:
+        if robot is not None and self._reads(info, robot):
             self._subscribe_robot(info.name, topic, robot)
 
     def _route_refused(self, info: TopicInfo, robot: LocalRobot | None) -> None:
         """Route a robot's odometry even if the graph has another type by this name."""
-        if robot is not None and info.kind is Id.PUBLISHER and (info.name, info.type) in robot.feedback.topics:
+        if robot is not None and info.kind is Id.PUBLISHER and self._reads(info, robot):
             topic = Topic(self.shown.of(info.name))
             topic.type, topic.type_name = self._hub.catalog.message(info.type), info.type
             self._route(info, topic, robot)
+
+    def _reads(self, info: TopicInfo, robot: LocalRobot) -> bool:
+        """Whether a robot reads this topic from this device."""
+        key = info.name, info.type
+        is_here = robot.feedback_links is None or robot.feedback_links.get(key) is self.link
+        return is_here and key in robot.feedback.topics
 
     def _subscribe_robot(self, own_name: str, topic: Topic, robot: LocalRobot) -> None:
         receive, fail = partial(robot.receive_feedback, own_name), partial(self._crash, robot)
@@ -333,9 +369,16 @@ class Device:
     def _drivable(self, info: TopicInfo, robot: LocalRobot | None) -> Drivable:
         """Create the gate of a further velocity topic of a robot, or of a device that is not identified.
 
-        The first has the robot's limits and lock. The second has no limits: its six numbers stay as they are.
+        The first has the robot's limits and lock. The second has no limits: its six numbers stay as they are. A device
+        that is a part of a robot has the robot's limits, and is stopped and locked with it.
         """
         topic = TopicType(info.name, info.type)
+        if robot is None and self.member is not None:
+            config = self._hub.robots.config_of(self.member.robot)
+            limits = limits_of(config, (topic,))
+            shown = self.shown.of(info.name)
+            gate = VelocityGate(Admission(shown, drive=limits.drive), limits, ZERO)
+            return Drivable(name=shown, commands=commands_of((topic,), config), gate=gate, gates=self._hub.gates)
         if robot is None:
             shown = self.shown.of(info.name)
             admission = Admission(shown, drive=None)

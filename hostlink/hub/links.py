@@ -13,7 +13,7 @@ from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import ConfigError, HostlinkError, ReloadRefused
-from hostlink.hub.device import Device, ShownNames, check_type
+from hostlink.hub.device import Device, ShownNames, check_type, endpoints_of
 from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.robot import LocalRobot, command_settings
@@ -23,10 +23,8 @@ from hostlink.link.link import Link
 from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.logs import of_peer, printable
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
 from hostlink.protocol.session import Session
-from hostlink.robot.model import CommandSettings, Endpoint, RobotTopicNames
+from hostlink.robot.model import CommandSettings, RobotTopicNames
 from hostlink.robot.names import Accepted, Directory, Places, Remembered, Undecided
 from hostlink.transport.base import Transport
 
@@ -334,7 +332,8 @@ class Links:
         """Put a device into the graph, as its robot if it has one."""
         if claim.replaces is not None:
             self._replace(claim.replaces)
-        device.settings = claim.settings
+        joined = {each.robot for each in (device.member, claim.member) if each is not None}
+        device.settings, device.member = claim.settings, claim.member
         touched, before = device.names, device.robot
         changed = [] if before is None else [before]
         robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
@@ -343,10 +342,11 @@ class Links:
             device.announce(device.infos, ShownNames())
         else:
             changed.append(robot)
+        device.is_undecided = False
+        changed += self._regroup(joined)
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         self.on_named()
-        device.is_undecided = False
         for message, read in device.early.pop_all():
             device.receive(message, read)
 
@@ -407,14 +407,17 @@ class Links:
     def _leave_graph(self, device: Device) -> None:
         touched, robot = device.names, self._hub.robots.vanish(device)
         device.leave()
-        if robot is not None or touched:
-            self._hub.robot_topics.update([] if robot is None else [robot], touched)
+        member, device.member = device.member, None
+        changed = self._regroup(() if member is None else (member.robot,))
+        if robot is not None and robot not in changed:
+            changed.append(robot)
+        if changed or touched:
+            self._hub.robot_topics.update(changed, touched)
 
-
-def endpoints_of(infos: Iterable[TopicInfo]) -> list[Endpoint]:
-    """Return the topics of an announcement as the model of robots knows them."""
-    kinds = (Id.PUBLISHER, Id.SUBSCRIBER)
-    return [Endpoint(info.name, info.type, info.kind is Id.SUBSCRIBER) for info in infos if info.kind in kinds]
+    def _regroup(self, names: Iterable[str]) -> list[LocalRobot]:
+        """Find the parts of robots of several devices anew. Return these robots."""
+        found = (self._hub.robots.regroup(name) for name in names)
+        return [robot for robot in found if robot is not None]
 
 
 def commands_by_name(config: Config) -> dict[str, CommandSettings]:

@@ -15,10 +15,9 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import CommandRefused, RefusalKind
-from hostlink.hub.device import Device, check_type
+from hostlink.hub.device import Device, check_type, endpoints_of
 from hostlink.hub.gates import TICK_S
 from hostlink.hub.hub import Hub
-from hostlink.hub.links import endpoints_of
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
 from hostlink.messages.catalog import Catalog
