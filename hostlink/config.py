@@ -318,7 +318,7 @@ class RobotConfig:
     command_device: str | None = None  # the one of its devices that is commanded, if several take a velocity
     uart_bytes_s: int | None = None
     # The drive (robot/kinematics): it refuses velocities that it cannot have. "": planar, which takes every velocity.
-    # "spatial": all six numbers of a Twist pass; it is no robot of the plane, but it is stopped and locked.
+    # "spatial": all six numbers of a Twist pass; it is not a robot of the plane, but it is stopped and locked.
     kinematics: Literal[
         "", "planar", "differential", "skid_steer", "mecanum", "omni3", "omni4", "ackermann", "spatial"
     ] = ""
@@ -352,7 +352,7 @@ class RobotConfig:
     wheels: WheelsConfig | None = None
     joy: JoyConfig | None = None
     words: WordsConfig | None = None
-    not_commands: tuple[str, ...] = ()  # topics that drive nothing, whatever their name and type
+    not_commands: tuple[str, ...] = ()  # topics that command no motion, with any name and type
     locked_topics: tuple[str, ...] = ()  # further topics that a lock refuses, for example of servos
     # What tells of its motion; without either it is recognised.
     encoders: EncodersConfig | None = None

@@ -5,7 +5,8 @@ Life of a link   link.opened, link.closed, link.trouble, link.refused, link.brok
 Its messages     topics.requested, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
                  parameter.refused, protocol.version_1, participant.crashed
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,
-                 robot.unlocked, robot.unreachable, robot.crashed, odometry.unreadable
+                 robot.unlocked, robot.unreachable, robot.crashed, robot.settings_refused, robots.all_locked,
+                 robots.all_unlocked, device.unguarded_command, odometry.unreadable
 Services         service.late, service.failed, service.crashed, service.cut, service.taken_over, service.unanswerable
 Clients          client.connected, client.closed, client.broken, client.too_slow, client.too_fast,
                  client.refused, client.unknown_op, client.crowded, client.malformed, client.origin_refused

@@ -3,7 +3,7 @@
 import dataclasses
 import ipaddress
 from collections import OrderedDict
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Sequence
 from http import HTTPStatus
 from typing import Annotated, Any, TypedDict, TypeVar
 
@@ -13,6 +13,7 @@ from aiohttp import web
 from hostlink.api.access import GRANT, caller_name
 from hostlink.api.bodies import convert_velocity, decode_body, whole_number
 from hostlink.api.clients import Clients, ClientView
+from hostlink.api.devices import DevicesView, devices_view
 from hostlink.api.routes import BODY, CAME, Route, refusal, reply
 from hostlink.api.views import (
     FindingView,
@@ -20,6 +21,7 @@ from hostlink.api.views import (
     Slices,
     StoppedRobotView,
     VelocityAnswer,
+    command_endpoint_view,
     finding_views,
     links_view,
     odometry_view,
@@ -31,6 +33,7 @@ from hostlink.api.views import (
 )
 from hostlink.config import Config, TcpConfig, UdpConfig
 from hostlink.errors import BadRequest, DeviceGone, UnknownTopic
+from hostlink.hub.device import CommandEndpoint
 from hostlink.hub.hub import Hub, Listening
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Role
@@ -43,7 +46,7 @@ from hostlink.loop_time import loop_time_s
 from hostlink.recording.drives import Drive, DriveLog
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.views import OdometryView, RobotView, TopicView
+from hostlink.robot.views import CommandEndpointView, OdometryView, RobotView, TopicView
 
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 
@@ -275,6 +278,18 @@ class StoppedRobotsView(TypedDict):
     robots: list[StoppedRobotView]
 
 
+class StoppedAllView(StoppedRobotsView):
+    """After a stop or a lock of all, also every topic that commands a motion and is not a robot's."""
+
+    endpoints: list[CommandEndpointView]
+
+
+class LockedRobotView(StoppedRobotView):
+    """After the lock of a robot, also every topic of its board that commands a motion and is not a robot's."""
+
+    endpoints: list[CommandEndpointView]
+
+
 class ResetAnswer(TypedDict):
     """The topic on which the device received the reset."""
 
@@ -343,15 +358,28 @@ class Rest:
             Route(
                 "/api/stop",
                 self._stop_all,
-                StoppedRobotsView,
+                StoppedAllView,
                 method="POST",
                 is_limited=False,
                 fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
             ),
             Route(
+                "/api/lock",
+                self._lock_all,
+                StoppedAllView,
+                method="POST",
+                request=LockRequest,
+                max_body_bytes=LOCK_BYTES,
+                is_body_optional=True,
+                on_head=self._lock_all_at_once,
+                is_limited=False,
+                fails=(NOT_FOUND, UNAVAILABLE),
+            ),
+            Route("/api/unlock", self._unlock_all, RobotsView, method="POST", role=Role.DRIVE, fails=(UNAVAILABLE,)),
+            Route(
                 f"{robot}/lock",
                 self._lock,
-                StoppedRobotView,
+                LockedRobotView,
                 method="POST",
                 request=LockRequest,
                 max_body_bytes=LOCK_BYTES,
@@ -372,6 +400,7 @@ class Rest:
             Route(f"{robot}/standstill", self._standstill, StoppedRobotView, fails=(BAD_REQUEST,)),
             Route("/api/standstill", self._standstills, StoppedRobotsView, fails=(BAD_REQUEST,)),
             Route("/api/links", self._links, LinksView),
+            Route("/api/devices", self._devices, DevicesView),
             Route("/api/topics", self._topics, TopicsView),
             Route("/api/clients", self._all_clients, ClientsView),
             Route("/api/drives", self._all_drives, DrivesView, fails=(BAD_REQUEST,)),
@@ -451,11 +480,14 @@ class Rest:
         return await self._measured(request, since_s, robot)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
-        """Stop every robot. Answers with the measured result after wait_s seconds at most (1.5)."""
+        """Stop every robot and board. Answers with the measured result after wait_s seconds at most (1.5).
+
+        The topics that command a motion and are not a robot's are listed, with those that could not be sent a zero.
+        """
         since_s = loop_time_s()
-        self._hub.robots.stop_all(by=_caller(request))
+        endpoints = self._hub.robots.stop_all(by=_caller(request))
         await self._hub.gates.settled()
-        return await self._measured(request, since_s)
+        return await self._measured(request, since_s, endpoints=endpoints)
 
     async def _standstill(self, request: web.Request) -> web.Response:
         """Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)."""
@@ -465,12 +497,46 @@ class Rest:
         """Whether odometry says that the robots are stopped."""
         return await self._measured(request, loop_time_s())
 
-    async def _measured(self, request: web.Request, since_s: float, robot: AnyRobot | None = None) -> web.Response:
+    async def _measured(
+        self,
+        request: web.Request,
+        since_s: float,
+        robot: AnyRobot | None = None,
+        *,
+        endpoints: Sequence[CommandEndpoint] | None = None,
+    ) -> web.Response:
         """Measure whether the robot is stopped, or whether all are. Every stop has been sent before this waits."""
         robots = self._hub.robots.all() if robot is None else [robot]
         measured = await self._hub.standstills.measure(robots, since_s, wait_s=_wait_s(request))
         views = [stopped_view(*each) for each in zip(robots, measured, strict=True)]
-        return reply({"robots": views} if robot is None else views[0])
+        found: dict[str, object] = {"robots": views} if robot is None else {**views[0]}
+        if endpoints is not None:
+            found["endpoints"] = [command_endpoint_view(each) for each in endpoints]
+        return reply(found)
+
+    def _lock_all_at_once(self, request: web.Request) -> None:
+        self._hub.robots.lock_all(LOCK_REASON, by=_caller(request))
+
+    async def _lock_all(self, request: web.Request) -> web.Response:
+        """Emergency stop of every robot and board, until unlock. Answers as stop does.
+
+        What connects later is locked, too.
+        """
+        robots, by, since_s = self._hub.robots, _caller(request), loop_time_s()
+        try:  # an invalid reason locks, too
+            body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; all are locked')
+        except BadRequest:
+            robots.lock_all(LOCK_REASON, by=by)
+            raise
+        endpoints = robots.lock_all(body.reason, by=by)
+        await self._hub.gates.settled()
+        return await self._measured(request, since_s, endpoints=endpoints)
+
+    async def _unlock_all(self, request: web.Request) -> web.Response:
+        """Unlock every robot and board."""
+        self._hub.robots.unlock_all(by=_caller(request))
+        await self._hub.gates.settled()
+        return await self._robots(request)
 
     async def _lock(self, request: web.Request) -> web.Response:
         """Emergency stop: zero velocity at once, commands are refused until unlock. Answers as stop does."""
@@ -482,7 +548,10 @@ class Rest:
             raise
         robot.lock(body.reason, by=_caller(request))
         await self._hub.gates.settled()
-        return await self._measured(request, since_s, robot)
+        board = self._hub.robots.device(robot.link)
+        return await self._measured(
+            request, since_s, robot, endpoints=[] if board is None else board.unguarded_endpoints()
+        )
 
     async def _unlock(self, request: web.Request) -> web.Response:
         """Unlock the robot."""
@@ -505,6 +574,10 @@ class Rest:
     async def _links(self, _: web.Request) -> web.Response:
         """Every live connection of a device."""
         return reply(await links_view(self._hub, Slices(self._hub)))
+
+    async def _devices(self, _: web.Request) -> web.Response:
+        """Whether each connected device is a robot, and why."""
+        return reply(devices_view(self._hub))
 
     async def _topics(self, _: web.Request) -> web.Response:
         """Every topic."""

@@ -334,7 +334,7 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityO
             return NOT_A_VELOCITY
         is_timed, is_sideways = wanted.sent_s is not None, wanted.linear_y != 0
         epochs = (wanted.epoch, wanted.stops, wanted.link)
-        terms = (wanted.priority, wanted.take_over, epochs, is_timed, is_sideways, wanted.is_planar)
+        terms = (wanted.priority, *epochs, is_timed, is_sideways, wanted.is_planar, wanted.take_over)
         is_zero = wanted.is_planar and not (wanted.linear or wanted.linear_y or wanted.angular)
         return VelocityOf("drive", wanted.robot.strip("/"), terms), is_zero
     fields = request.fields

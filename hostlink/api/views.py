@@ -9,7 +9,7 @@ from typing import TypedDict, TypeVar, cast
 import msgspec
 
 from hostlink.diagnosis.finding import Finding
-from hostlink.hub.device import Device
+from hostlink.hub.device import CommandEndpoint, Device
 from hostlink.hub.graph_view import is_derived
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import AnyRobot
@@ -17,7 +17,7 @@ from hostlink.hub.topic import Topic
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.views import OdometryView, RobotView, TopicView, VelocityView
+from hostlink.robot.views import CommandEndpointView, OdometryView, RobotView, TopicView, VelocityView
 
 View = TypeVar("View")
 
@@ -231,6 +231,21 @@ def stopped_view(robot: AnyRobot, measured: Standstill) -> StoppedRobotView:
             "after_s": _rounded(measured.after_s, 3),
             "reason": measured.reason,
         },
+    }
+
+
+def command_endpoint_view(endpoint: CommandEndpoint) -> CommandEndpointView:
+    """Return what became of a topic that is not a robot's after a stop or a lock."""
+    return {
+        "link": endpoint.link,
+        "peer": endpoint.peer,
+        "robot": endpoint.robot,
+        "topic": endpoint.topic,
+        "type": endpoint.type_name,
+        "is_guarded": endpoint.is_guarded,
+        "is_locked": endpoint.is_locked,
+        "is_zero_sent": not endpoint.reason,
+        "reason": endpoint.reason,
     }
 
 

@@ -16,6 +16,7 @@ from hostlink.cli.output import show_progress, show_question, write, write_error
 from hostlink.cli.quantities import UNITS_M, UnitMissing, parse_angle, parse_length
 from hostlink.cli.robots import free_robot
 from hostlink.client import Host, RobotState
+from hostlink.client.motion import require_pose
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
 from hostlink.errors import HostlinkError, RefusalKind
@@ -55,6 +56,7 @@ class Drives:
         """
         async with connected(self._url, self._token) as host:
             state = await free_robot(host, self.robot)
+            require_pose(state)
             robot = host.robot(self.robot, priority=PRIORITY)
             poses_topic = state["odometry_topic"]
             if poses_topic is None:
@@ -71,6 +73,7 @@ class Drives:
         usual = WheelGeometry()
         async with connected(self._url, self._token) as host:
             state = await free_robot(host, self.robot)
+            require_pose(state)
             await self._require_current(host, state)
             radii = await self._parameter(host, "wheel_radius", [usual.left_radius_m, usual.right_radius_m])
             configured_m = state.get("wheel_separation_m") or usual.separation_m

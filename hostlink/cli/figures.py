@@ -11,6 +11,7 @@ from hostlink.client import Event, Host
 
 LINK_COLUMNS = ("link", "peer", "robot", "topics", "from/s", "to/s", "bytes/s", "lost %", "silent s", "diagnosis")
 ROBOT_COLUMNS = ("robot", "link", "driven by", "m/s", "rad/s", "x m", "y m", "deg", "Hz", "age s")
+MOTION_COLUMNS = ("command", "knows its motion by")
 DEVICE_COLUMNS = ("battery", "dBm", "errors", "firmware")  # more columns of a robot, shown if any robot has a value
 _DEGREES = 57.29577951308232
 
@@ -72,20 +73,27 @@ def link_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def robot_table(
-    shown: dict[str, Any], order: Callable[[dict[str, Any]], Any] | None = None
+    shown: dict[str, Any],
+    order: Callable[[dict[str, Any]], Any] | None = None,
+    *,
+    has_motion: bool = False,
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return the columns of the robots and the cells of each robot, in the natural order of their names.
 
-    `order` is the key of another order; robots that are equal by it are in the order of their names.
+    `order` is the key of another order; robots that are equal by it are in the order of their names. `has_motion` adds
+    MOTION_COLUMNS.
 
     A column of DEVICE_COLUMNS is left out if no robot has a value for it.
     """
     robots = ordered(shown, order)
     device = [_device_row(robot) for robot in robots]
     used = [number for number in range(len(DEVICE_COLUMNS)) if any(row[number] != "-" for row in device)]
-    columns = (*ROBOT_COLUMNS, *(DEVICE_COLUMNS[number] for number in used))
-    rows = zip(map(_robot_row, robots), device, strict=True)
-    return columns, [(*row, *(cells[number] for number in used)) for row, cells in rows]
+    columns = (*ROBOT_COLUMNS, *(MOTION_COLUMNS if has_motion else ()), *(DEVICE_COLUMNS[number] for number in used))
+    rows = zip(robots, device, strict=True)
+    return columns, [
+        (*_robot_row(robot), *(_motion_row(robot) if has_motion else ()), *(cells[number] for number in used))
+        for robot, cells in rows
+    ]
 
 
 def ordered(shown: dict[str, Any], order: Callable[[dict[str, Any]], Any] | None = None) -> list[dict[str, Any]]:
@@ -126,6 +134,14 @@ def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
+def _motion_row(robot: dict[str, Any]) -> tuple[str, ...]:
+    """Return the cells under MOTION_COLUMNS; an older daemon sends neither."""
+    command = robot.get("command_type", "").rpartition("/")[2]
+    return command or "-", {"motion": "moves or stands", "none": "no odometry"}.get(
+        robot.get("feedback", ""), robot.get("feedback", "-")
+    )
+
+
 def _pose_row(pose: Mapping[str, Any]) -> tuple[str, ...]:
     return f"{pose['x_m']:+.2f}", f"{pose['y_m']:+.2f}", f"{pose['theta_rad'] * _DEGREES:+.0f}"
 
@@ -155,9 +171,17 @@ def advice(shown: dict[str, Any]) -> list[str]:
 
 
 def finding_lines(found: dict[str, str], about: str = "") -> list[str]:
-    """Return the cause and the next step of a finding; `about` names its link or port."""
-    detail = f" ({found['detail']})" if found["detail"] else ""
-    return [f"{about}{found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]
+    """Return the cause and the next step of a finding; `about` names its link or port.
+
+    Further lines of its detail are lines to copy.
+    """
+    first, *lines = found["detail"].splitlines() or [""]
+    detail = f" ({first})" if first else ""
+    return [
+        f"{about}{found['code']}: {found['cause']}{detail}",
+        f"  next: {found['next_step']}",
+        *(f"    {line}" for line in lines),
+    ]
 
 
 # -- figures of the daemon's events -----------------------------------------------------------------------------------

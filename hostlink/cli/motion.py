@@ -83,6 +83,11 @@ Timeout = Annotated[
 ]
 
 
+TakeOver = Annotated[
+    bool, typer.Option("--take-over", help="Take the robot over from another program, which must let go of it then.")
+]
+
+
 def move(
     robot: Name,
     distance: Annotated[
@@ -91,6 +96,7 @@ def move(
     *,
     speed: Annotated[float, typer.Option(min=0.02, max=1.0, help="Speed, m/s: lower in a narrow room.")] = 0.2,
     timeout: Timeout = None,
+    take_over: TakeOver = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
@@ -103,9 +109,9 @@ def move(
     way = Way("moved", amount, metres_text)
 
     def follow(found: Robot, show: Callable[[Progress], None]) -> Coroutine[Any, Any, Motion]:
-        return found.move(way.amount, speed_m_s=speed, timeout_s=timeout, on_progress=show)
+        return found.move(way.amount, speed_m_s=speed, timeout_s=timeout, on_progress=show, take_over=take_over)
 
-    _run(url, token, name, way, follow, example=MOVE, as_json=json)
+    _run(url, token, name, way, follow, example=MOVE, as_json=json, take_over=take_over)
 
 
 def turn(
@@ -117,6 +123,7 @@ def turn(
     *,
     speed: Annotated[float, typer.Option(min=0.05, max=4.0, help="Turning speed, rad/s.")] = 0.8,
     timeout: Timeout = None,
+    take_over: TakeOver = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
@@ -129,20 +136,28 @@ def turn(
     way = Way("turned", amount, degrees_text)
 
     def follow(found: Robot, show: Callable[[Progress], None]) -> Coroutine[Any, Any, Motion]:
-        return found.turn(way.amount, speed_rad_s=speed, timeout_s=timeout, on_progress=show)
+        return found.turn(way.amount, speed_rad_s=speed, timeout_s=timeout, on_progress=show, take_over=take_over)
 
-    _run(url, token, name, way, follow, example=TURN, as_json=json)
+    _run(url, token, name, way, follow, example=TURN, as_json=json, take_over=take_over)
 
 
 Follow = Callable[[Robot, Callable[[Progress], None]], Coroutine[Any, Any, Motion]]
 
 
 def _run(
-    url: str, token: str | None, name: str | None, way: Way, follow: Follow, *, example: str, as_json: bool
+    url: str,
+    token: str | None,
+    name: str | None,
+    way: Way,
+    follow: Follow,
+    *,
+    example: str,
+    as_json: bool,
+    take_over: bool,
 ) -> None:
-    shown = Shown(way)
+    shown, below = Shown(way), PRIORITY + take_over
     try:
-        asyncio.run(_cancelled_by_signals(_drive(url, token, name, shown, follow, example)))
+        asyncio.run(_cancelled_by_signals(_drive(url, token, name, shown, follow, example, below)))
     except asyncio.CancelledError:
         write_error(f"{shown.robot} was sent a stop, {shown.progress}")
         raise KeyboardInterrupt from None
@@ -188,9 +203,11 @@ class Shown:
             show_progress(f"{self.robot}: {self.progress}; Ctrl-C stops the robot")
 
 
-async def _drive(url: str, token: str | None, name: str | None, shown: Shown, follow: Follow, example: str) -> None:
+async def _drive(
+    url: str, token: str | None, name: str | None, shown: Shown, follow: Follow, example: str, below: int
+) -> None:
     async with connected(url, token) as host:
-        state = await free_robot(host, await name_of(host, name, example=example), below=PRIORITY)
+        state = await free_robot(host, await name_of(host, name, example=example), below=below)
         shown.robot = state["name"]
         shown.motion = await follow(host.robot(state["name"], priority=PRIORITY), shown.show)
 

@@ -88,6 +88,9 @@ def command(
             callback=not_empty,
         ),
     ] = None,
+    take_over: Annotated[
+        bool, typer.Option("--take-over", help="With --drive: take the robot over from another program.")
+    ] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
@@ -102,7 +105,7 @@ def command(
             "cannot be combined with --step or --as-program, because the robot is driven at the recorded times",
         )
     if drive is not None:
-        asyncio.run(drive_robot(url, token, file, playback, drive, robot or []))
+        asyncio.run(drive_robot(url, token, file, playback, drive, robot or [], take_over=take_over))
     elif as_program:
         if not topics:
             raise ConfigError(
@@ -221,7 +224,14 @@ async def publish_topics(url: str, token: str | None, file: Path, playback: Play
 
 
 async def drive_robot(
-    url: str, token: str | None, file: Path, playback: Playback, robot: str, recorded: list[str]
+    url: str,
+    token: str | None,
+    file: Path,
+    playback: Playback,
+    robot: str,
+    recorded: list[str],
+    *,
+    take_over: bool = False,
 ) -> None:
     """Drive a robot through its gate as the recorded one was driven; the robot stops at the end."""
     async with connected(url, token) as host:  # ends before the file is read, which blocks
@@ -236,7 +246,7 @@ async def drive_robot(
     async with connect(url, token=token, reconnect=False, name="play") as host:
         driven = host.robot(robot)
         write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops the robot, and so does `hostlink stop`")
-        count = await drive_as_recorded(driven, file, playback, names[0], topic)
+        count = await drive_as_recorded(driven, file, playback, names[0], topic, take_over=take_over)
     write_error(f"{quantity(count, 'velocity', 'velocities')} driven")
 
 
@@ -261,7 +271,9 @@ def _first_of(file: Path, wanted: Wanted) -> str | None:
     return next((message.channel.topic for message in McapReader(file).messages(wanted)), None)
 
 
-async def drive_as_recorded(driven: Robot, file: Path, playback: Playback, recorded: str, topic: str) -> int:
+async def drive_as_recorded(
+    driven: Robot, file: Path, playback: Playback, recorded: str, topic: str, *, take_over: bool = False
+) -> int:
     """Drive as a robot of the recording was driven by this topic, then stop; return the number of sent velocities.
 
     Raises:
@@ -271,7 +283,9 @@ async def drive_as_recorded(driven: Robot, file: Path, playback: Playback, recor
     newest = NewestDue()
 
     async def drive(due: DueVelocity) -> None:
-        await driven.drive(due.velocity.x_m_s, due.velocity.yaw_rad_s, due.velocity.y_m_s)
+        nonlocal take_over
+        await driven.drive(due.velocity.x_m_s, due.velocity.yaw_rad_s, due.velocity.y_m_s, take_over=take_over)
+        take_over &= due.velocity.is_zero  # until it drives: who drives afterwards keeps the robot
 
     def due_velocities(clock: PlaybackClock) -> Iterator[DueVelocity]:
         found = drives(_schedule(file, playback, is_drive), recorded, topic, rate=playback.rate)

@@ -3,17 +3,27 @@
 import asyncio
 import functools
 import json as json_text
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from typing import Annotated, Any
 
 import typer
 
 from hostlink.cli.arguments import AllRobots, Json, RobotNames, Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import ask
+from hostlink.cli.explain import explanation, warnings
 from hostlink.cli.figures import robot_table
 from hostlink.cli.names import driver, mean_all, natural, only_connected, unknown_robot
-from hostlink.cli.output import write, write_error, write_table
-from hostlink.client import DEFAULT_URL, Host, Robot, RobotState, Standstill, StandstillState
+from hostlink.cli.output import quantity, write, write_error, write_table
+from hostlink.client import (
+    DEFAULT_URL,
+    CommandEndpoint,
+    Host,
+    Robot,
+    RobotState,
+    Standstill,
+    StandstillState,
+    Stopped,
+)
 from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
 from hostlink.robot.standstill import sentence
 
@@ -84,16 +94,37 @@ async def free_robot(host: Host, name: str, *, below: int = 0) -> RobotState:
 # -- robots -----------------------------------------------------------------------------------------------------------
 
 
-def robots(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
-    """List the robots: driver, speed and position of each."""
-    robots = ask(url, token, Host.robots)
+def robots(
+    *,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Say for each device why it is a robot, or why not.")
+    ] = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
+    """List the robots: driver, speed and position of each. Warn of topics that command a motion and nothing guards."""
+    ask(url, token, lambda host: _robots(host, is_explained=explain, json=json))
+
+
+async def _robots(host: Host, *, is_explained: bool, json: bool) -> None:
+    robots, found = await host.robots(), await host.get("/api/devices")
+    devices = found["devices"]
     if json:
-        write(json_text.dumps(robots))
+        write(json_text.dumps(found if is_explained else robots))
+    elif is_explained:
+        write(*explanation(devices))
     elif robots:
         shown: dict[str, Any] = {"robots": robots}
-        write_table(*robot_table(shown))
-    else:
+        write_table(*robot_table(shown, has_motion=True))
+    elif not devices:
         write_error("no robot has connected yet; `hostlink doctor` finds out why, `hostlink sim` runs one")
+    else:
+        write_error(
+            f"no robot has connected, but {quantity(len(devices), 'device')}; `hostlink robots --explain` says why"
+        )
+    if not is_explained:
+        write_error(*warnings(devices, found["lock_reason"]))
 
 
 # -- stop -------------------------------------------------------------------------------------------------------------
@@ -103,23 +134,30 @@ def stop(
     robots: RobotNames = None,
     *,
     everything: AllRobots = False,
+    no_measure: Annotated[
+        bool, typer.Option("--no-measure", help="Send the stop only; exit status 0: every zero was sent.")
+    ] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
 ) -> None:
     """Stop robots, or all of them, and measure whether they are stopped; exit status 1: at least one is not.
 
-    A program that was driving must let go before it can drive again. `hostlink lock` keeps a robot stopped.
+    Boards that are not robots are sent zeros, and named. A program that was driving must let go before it can drive
+    again. `hostlink lock` keeps a robot stopped.
     """
     names = [] if everything else robots or []  # a stop of all is never refused because of a name
-    ask(url, token, lambda host: _stop(host, names, json=json))
+    ask(url, token, lambda host: _stop(host, names, is_measured=not no_measure, json=json))
 
 
-async def _stop(host: Host, names: list[str], *, json: bool) -> None:
+async def _stop(host: Host, names: list[str], *, is_measured: bool = True, json: bool) -> None:
     if names and not mean_all(names, [robot["name"] for robot in await host.robots()]):
-        await _halt(host, names, Robot.stop, json=json, of_all="`hostlink stop` stops every robot")
+        await _halt(
+            host, names, Robot.stop, is_measured=is_measured, json=json, of_all="`hostlink stop` stops every robot"
+        )
     else:
-        await _report(host, await host.stop_all(), json=json)
+        stopped = await (host.stop_all() if is_measured else host.stop_all(wait_s=0.0))
+        await _report(host, stopped, is_measured=is_measured, json=json)
 
 
 async def _halt(
@@ -128,6 +166,7 @@ async def _halt(
     command: Callable[..., Awaitable[Standstill]],
     *,
     done: str = "",
+    is_measured: bool = True,
     json: bool,
     of_all: str,
 ) -> None:
@@ -141,7 +180,8 @@ async def _halt(
     """
     known = [robot["name"] for robot in await chosen(host)]
     wanted = known if mean_all(names, known) else [name.strip("/") for name in names] or known
-    no_wait = {"wait_s": 0.0} if len(wanted) > 1 else {}  # no stop waits for the measurement of another robot
+    # No stop waits for the measurement of another robot.
+    no_wait = {"wait_s": 0.0} if len(wanted) > 1 or not is_measured else {}
     measured, failed = dict[str, Standstill](), dict[str, HostlinkError]()
 
     async def halt(name: str) -> None:
@@ -157,11 +197,12 @@ async def _halt(
     async with asyncio.TaskGroup() as tasks:  # no stop waits for one of a daemon that does not answer
         for name in wanted:
             tasks.create_task(halt(name))
-    if no_wait and measured:
+    if no_wait and measured and is_measured:
         measured = {name: found for name, found in (await host.standstill()).items() if name in measured}
     try:
         if measured:
-            await _report(host, measured, done=done, json=json)
+            endpoints = await _of_boards(host, measured) if done else ()
+            await _report(host, Stopped(measured, endpoints), done=done, is_measured=is_measured, json=json)
     finally:
         if failed:
             *others, last = [failed[name] for name in dict.fromkeys(wanted) if name in failed]
@@ -169,20 +210,67 @@ async def _halt(
             raise last
 
 
-async def _report(host: Host, measured: dict[str, Standstill], *, done: str = "", json: bool) -> None:
-    """Write what was measured of each robot after a stop; `done` is what was done to each, for example "is locked".
+async def _report(host: Host, measured: Stopped, *, done: str = "", is_measured: bool = True, json: bool) -> None:
+    """Write what was measured of each robot after a stop, and what became of boards that are not robots.
+
+    `done` is what a lock has done to each, for example "is locked". A lock needs no measurement.
 
     Raises:
-        typer.Exit: not every robot is known to be stopped.
+        HostlinkError: there is not a robot and no board.
+        typer.Exit: not every robot is known to be stopped; after a lock, or without a measurement: not everything was
+            sent a zero.
     """
-    robots = [robot for robot in await chosen(host) if robot["name"] in measured]
+    known = await chosen(host) if measured or not measured.endpoints else []
+    robots = [robot for robot in known if robot["name"] in measured]
     if json:
-        write(json_text.dumps([{**robot, "standstill": measured[robot["name"]]._asdict()} for robot in robots]))
+        found: list[Any] = [{**robot, "standstill": measured[robot["name"]]._asdict()} for robot in robots]
+        write(json_text.dumps([*found, *measured.endpoints]))
     else:
         for robot in robots:
-            write(*([f"{robot['name']} {done}"] if done else []), sentence(robot["name"], measured[robot["name"]]))
-    if any(each.state is not StandstillState.STOPPED for each in measured.values()):
+            name = robot["name"]
+            shown = sentence(name, measured[name]) if is_measured else sent_sentence(robot)
+            write(*([f"{name} {done}"] if done else []), shown)
+        write(*(endpoint_sentence(each, done=done) for each in measured.endpoints))
+    needs_measurement = is_measured and not done
+    is_covered = all(map(_is_covered, robots)) and all(
+        each["is_zero_sent"] and (each["is_locked"] or not done) for each in measured.endpoints
+    )
+    states = {each.state for each in measured.values()}
+    if needs_measurement:
+        is_done = is_covered and states <= {StandstillState.STOPPED} and not measured.endpoints
+    else:
+        is_done = is_covered and not (is_measured and StandstillState.MOVING in states)
+    if not is_done:
         raise typer.Exit(1)
+
+
+async def _of_boards(host: Host, robots: Collection[str]) -> list[CommandEndpoint]:
+    """Return what else the boards of these robots take that looks like a command, after a lock."""
+    devices = (await host.get("/api/devices"))["devices"]
+    return [each for device in devices if device["robot"] in robots for each in device["unguarded"]]
+
+
+def _is_covered(robot: RobotState) -> bool:
+    return robot.get("unreachable") is None
+
+
+def sent_sentence(robot: RobotState) -> str:
+    """Return what a stop without a measurement has done, as a sentence."""
+    name, cause = robot["name"], robot.get("unreachable")
+    if cause is not None:
+        return f"{name}: its device cannot receive the stop: {cause}"
+    return f"{name}: zero sent" if robot["connected"] else f"{name}: its device is not connected"
+
+
+def endpoint_sentence(endpoint: CommandEndpoint, *, done: str = "") -> str:
+    """Return what a stop or a lock of all has done to a topic that is not a robot's, as a sentence."""
+    place = f"{endpoint['topic']} of link {endpoint['link']} ({endpoint['peer']})"
+    is_locked = f" {done};" if done and endpoint["is_locked"] else ""
+    if not endpoint["is_zero_sent"]:
+        step = "`hostlink robots --explain` shows the setting that makes a robot of it"
+        return f"{place}{is_locked} was not sent a zero: {endpoint['reason']}; {step}"
+    sent = f"{place}{is_locked or ':'} zero sent"
+    return sent if done else f"{sent}; it is not a robot's, so nobody can say that it is stopped"
 
 
 # -- lock -------------------------------------------------------------------------------------------------------------
@@ -199,15 +287,20 @@ def lock(
 ) -> None:
     """Emergency stop of robots, or of all of them: zero at once, and no command until `hostlink unlock`.
 
-    Measures whether the robots are stopped; exit status 1: at least one is not.
+    A lock of all also locks boards that are not robots, and what connects later. Exit status 0: all are locked and were
+    sent a zero; 1: something was not, and is named, or a robot still moves.
     """
     names = [] if everything else robots or []
     ask(url, token, lambda host: _lock(host, names, reason, json=json))
 
 
 async def _lock(host: Host, names: list[str], reason: str, *, json: bool) -> None:
-    command, done = functools.partial(Robot.lock, reason=reason), f"is locked: {reason}"
-    await _halt(host, names, command, done=done, json=json, of_all="`hostlink lock` locks every robot")
+    done = f"is locked: {reason}"
+    if names and not mean_all(names, [robot["name"] for robot in await host.robots()]):
+        command = functools.partial(Robot.lock, reason=reason)
+        await _halt(host, names, command, done=done, json=json, of_all="`hostlink lock` locks every robot")
+    else:
+        await _report(host, await host.lock_all(reason), done=done, json=json)
 
 
 # -- unlock -----------------------------------------------------------------------------------------------------------
@@ -231,25 +324,33 @@ def unlock(
     """Let robots be driven again. The name is optional if only one robot is locked. No robot moves by this command."""
     if robots and everything:
         raise ConfigError("--all", f"means every robot, but {robots[0]!r} is named too; leave one of them out")
-    unlocked = ask(url, token, lambda host: _unlock(host, robots or [], everything=everything))
-    write(*([json_text.dumps(unlocked)] if json else (f"{each['name']} may be driven" for each in unlocked)))
+    ask(url, token, lambda host: _unlock(host, robots or [], everything=everything, json=json))
 
 
-async def _unlock(host: Host, names: list[str], *, everything: bool) -> list[RobotState]:
-    meant = await _meant(host, names, everything=everything)
-    for each in meant:
-        await host.robot(each["name"]).unlock()
-    return [await host.robot(each["name"]).state() for each in meant]
-
-
-async def _meant(host: Host, names: list[str], *, everything: bool) -> list[RobotState]:
+async def _unlock(host: Host, names: list[str], *, everything: bool, json: bool = False) -> None:
     if mean_all(names, [robot["name"] for robot in await host.robots()]):
         names, everything = [], True
-    robots = await chosen(host, *names)
+    are_boards_locked = not names and (await host.get("/api/devices"))["lock_reason"] is not None
+    meant = await _meant(host, names, everything=everything, are_boards_locked=are_boards_locked)
+    if are_boards_locked or everything:
+        await host.unlock_all()
+    else:
+        for each in meant:
+            await host.robot(each["name"]).unlock()
+    unlocked = [await host.robot(each["name"]).state() for each in meant]
+    if json:
+        write(json_text.dumps(unlocked))
+    else:
+        write(*(f"{each['name']} may be driven" for each in unlocked))
+        write(*(["boards that are not robots may be driven"] if are_boards_locked else []))
+
+
+async def _meant(host: Host, names: list[str], *, everything: bool, are_boards_locked: bool) -> list[RobotState]:
+    robots = [] if are_boards_locked and not await host.robots() else await chosen(host, *names)
     if names:
         return robots
     locked = [robot for robot in robots if robot.get("locked")]
-    if not locked:
+    if not locked and not are_boards_locked:
         raise HostlinkError("no robot is locked; `hostlink robots` lists them")
     if len(locked) > 1 and not everything:
         listed = ", ".join(robot["name"] for robot in locked)

@@ -20,6 +20,7 @@ from hostlink.client.loop_thread import Messages, Opened, Stream
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, Robot
 from hostlink.client.views import (
+    CommandEndpoint,
     ConnectionChange,
     Driven,
     Event,
@@ -32,6 +33,7 @@ from hostlink.client.views import (
     RawMessage,
     Refusal,
     RobotState,
+    Stopped,
     TopicState,
     Twist,
 )
@@ -43,6 +45,7 @@ __all__ = [
     "PRIORITY",
     "BlockingHost",
     "BlockingRobot",
+    "CommandEndpoint",
     "CommandRefused",
     "ConnectionChange",
     "Driven",
@@ -66,6 +69,7 @@ __all__ = [
     "RobotState",
     "Standstill",
     "StandstillState",
+    "Stopped",
     "Stream",
     "TopicState",
     "Twist",

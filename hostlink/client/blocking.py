@@ -146,6 +146,8 @@ class BlockingHost(Blocking[Host]):
     links = _blocking(Host.links)
     watch = _stream(Host.watch)
     stop_all = _blocking(Host.stop_all)
+    lock_all = _blocking(Host.lock_all)
+    unlock_all = _blocking(Host.unlock_all)
     standstill = _blocking(Host.standstill)
     publish = _blocking(Host.publish)
     publish_raw = _blocking(Host.publish_raw)

@@ -176,7 +176,7 @@ class VelocitySender:
             number, request, self._now_s(), is_kept=is_kept, is_motion=is_motion, is_zero=velocity.is_zero
         )
         self._repeated[robot] = repeated
-        was_driving = before is not None and (is_motion or not before.is_zero)  # a motion goes on after a zero
+        was_driving = before is not None and (is_motion or not before.is_zero)  # a motion continues after a zero
         try:
             answer = await self._command(repeated, before if was_driving else None, take_over=take_over)
             driven = _driven(answer)

@@ -21,7 +21,7 @@ from hostlink.client.robot import PRIORITY, WAIT_S, Robot
 from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import RAW, Graphs, GraphWatch, RawSubscription, Subscription, Topics, read_raw
 from hostlink.client.type_names import TypeName, type_name_of
-from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
+from hostlink.client.views import CommandEndpoint, ConnectionChange, Event, RobotState, Stopped, TopicState
 from hostlink.errors import BadRequest, HostlinkError, Refused
 from hostlink.robot.standstill import Standstill
 
@@ -119,8 +119,11 @@ class Host:
         """
         return Robot(name, priority, http=self._http, driver=self._driver, connection=self._connection)
 
-    async def stop_all(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
+    async def stop_all(self, *, wait_s: float = WAIT_S) -> Stopped:
         """Stop every robot, also those that others drive; return what was measured since, as `Robot.stop` does.
+
+        Boards that are not robots are sent zeros; `endpoints` of the result has their topics, also those that have no
+        zero.
 
         Raises:
             HostlinkError: hostlink was not reached, or another daemon of the fleet has not answered.
@@ -131,7 +134,30 @@ class Host:
         finally:
             for name in driven:
                 await self._driver.send_zero(name, PRIORITY)
-        return await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer)
+        return Stopped(await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer), _endpoints(answer))
+
+    async def lock_all(self, reason: str, *, wait_s: float = WAIT_S) -> Stopped:
+        """The emergency stop of every robot and of boards that are not robots, also of those that connect later.
+
+        Returns what was measured since, as `stop_all` does. `unlock_all` ends it.
+
+        Raises:
+            HostlinkError: hostlink was not reached, or another daemon of the fleet has not answered.
+        """
+        self._driver.stop_repeating_all()
+        answer = await self._http.request("POST", "/api/lock?wait_s=0", {"reason": reason})
+        return Stopped(await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer), _endpoints(answer))
+
+    async def unlock_all(self) -> list[RobotState]:
+        """Let every robot and board be driven again; nothing that was held before drives them.
+
+        Raises:
+            HostlinkError: hostlink was not reached, or robots of several daemons have one name.
+        """
+        answer = await self._http.request("POST", "/api/unlock")
+        for robot in answer["robots"]:
+            self._driver.note_own_unlock(robot["name"], robot)
+        return cast(list[RobotState], answer["robots"])
 
     async def standstill(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
         """Measure by new odometry whether each robot has stopped, for at most `wait_s` seconds.
@@ -368,6 +394,10 @@ class Host:
                     with contextlib.suppress(HostlinkError):  # the connection is gone
                         await self._round_trip()
                 await self._connection.aclose()
+
+
+def _endpoints(answer: Mapping[str, Any]) -> list[CommandEndpoint]:
+    return cast(list[CommandEndpoint], answer.get("endpoints", []))  # an older daemon sends none
 
 
 def _measured(answer: Mapping[str, Any]) -> dict[str, Standstill]:

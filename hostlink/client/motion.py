@@ -25,7 +25,7 @@ from typing import NamedTuple, Self
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.client.driver import REPEAT_INTERVAL_S, VelocitySender
 from hostlink.client.mailbox import Mailbox
-from hostlink.client.views import Driven, Motion, MotionKind, MotionOutcome, Odometry, Progress
+from hostlink.client.views import Driven, Motion, MotionKind, MotionOutcome, Odometry, Progress, RobotState
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError
 from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose, frame_of, is_near_origin, placed, wrap_angle
@@ -44,7 +44,7 @@ OnProgress = Callable[[Progress], object]
 
 
 class Begin(NamedTuple):
-    """What the first command of a motion may do: take the robot over, and drive without letting go before."""
+    """Permissions of the first command of a motion: take the robot over, and drive without letting go before."""
 
     take_over: bool = False
     resume: bool = False
@@ -95,6 +95,21 @@ def _checked(name: str, size: float, speed_name: str, speed: float, least: float
     if timeout_s is None:
         return GRACE_S + TIMES_LONGER * abs(size) / speed
     return positive("timeout_s", timeout_s)
+
+
+def require_pose(state: RobotState) -> None:
+    """Check that a robot can be driven by its odometry.
+
+    Raises:
+        BadRequest: nothing tells where it is.
+    """
+    feedback = state.get("feedback", "pose")  # an older daemon knows robots with a pose only
+    if feedback != "pose":
+        known = "has no odometry" if feedback == "none" else f"tells its {feedback} only, and no pose"
+        raise BadRequest(
+            f"{state['name']} {known}, so that no distance and no angle can be measured; "
+            "`hostlink teleop` and drive() drive it without"
+        )
 
 
 def positive(name: str, value: float) -> float:

@@ -7,7 +7,7 @@ from urllib.parse import quote
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, measured
-from hostlink.client.motion import Begin, OnProgress, drive_for, follow, line, turn
+from hostlink.client.motion import Begin, OnProgress, drive_for, follow, line, require_pose, turn
 from hostlink.client.views import Driven, Motion, Odometry, Refusal, RobotState
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
@@ -149,10 +149,11 @@ class Robot:
         and `resume` are those of `drive`.
 
         Raises:
-            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, there is no odometry, or
-                a number is invalid.
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose,
+                or a number is invalid.
         """
         course, begin = line(metres, speed_m_s, timeout_s), Begin(take_over, resume)
+        require_pose(await self.state())
         return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress, begin)
 
     async def turn(
@@ -168,10 +169,11 @@ class Robot:
         """Turn on the spot by odometry, and stop; counter-clockwise is positive. It ends as `move` does.
 
         Raises:
-            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, there is no odometry, or
-                a number is invalid.
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose,
+                or a number is invalid.
         """
         course, begin = turn(radians, speed_rad_s, timeout_s), Begin(take_over, resume)
+        require_pose(await self.state())
         return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress, begin)
 
     async def command(

@@ -1,10 +1,12 @@
 """Results of the client: the JSON of hostlink's REST API as typed dicts; numbers carry their unit."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from hostlink.robot.views import OdometryView, PoseView, RobotView, TopicView, VelocityView
+from hostlink.robot.standstill import Standstill
+from hostlink.robot.views import CommandEndpointView, OdometryView, PoseView, RobotView, TopicView, VelocityView
 
 # The names that users import.
 Pose = PoseView
@@ -12,6 +14,18 @@ Twist = VelocityView
 Odometry = OdometryView
 RobotState = RobotView
 TopicState = TopicView
+CommandEndpoint = CommandEndpointView
+
+
+class Stopped(dict[str, Standstill]):
+    """Measurement of each robot after a stop or a lock of all, by name.
+
+    `endpoints`: topics of boards that command a motion and are not a robot's; what they move is not measured.
+    """
+
+    def __init__(self, measured: Mapping[str, Standstill], endpoints: Sequence[CommandEndpoint] = ()) -> None:
+        super().__init__(measured)
+        self.endpoints = tuple(endpoints)
 
 
 class RawMessage(NamedTuple):

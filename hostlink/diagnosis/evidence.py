@@ -136,4 +136,4 @@ class Evidence:
     end: str | None = None  # reason of the link's end
     host_clock: str = ""  # what is wrong with this computer's clock
     motion: MotionEvidence = NO_MOTION  # of the messages that tell how the robot moves
-    numbered: str = ""  # set if the robot's name got a number, because another device has the same name
+    noted: Mapping[str, str] = field(default_factory=dict)  # what only the hub knows: details by code of their finding

@@ -5,7 +5,7 @@ import operator
 import re
 from array import array
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from hostlink.diagnosis.evidence import (
     NO_COUNTS,
@@ -197,7 +197,7 @@ class LinkMonitor:
         earlier: tuple[EarlierLink, ...] = (),
         end: str | None = None,
         host_clock: str = "",
-        numbered: str = "",
+        noted: Mapping[str, str] | None = None,
     ) -> Evidence:
         """Return the current evidence. The arguments are what the link itself cannot know.
 
@@ -231,7 +231,7 @@ class LinkMonitor:
             end=end,
             host_clock=host_clock,
             motion=self.motion.evidence(now_s),
-            numbered=numbered,
+            noted={} if noted is None else noted,
         )
 
     def _note_time_request(self, now_s: float, *, has_waited: bool) -> None:

@@ -7,7 +7,7 @@ detail.
 from collections.abc import Callable
 from statistics import median
 
-from hostlink.diagnosis.evidence import Evidence
+from hostlink.diagnosis.evidence import RECENT_S, Evidence
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.motion_monitor import NO_POSE
 from hostlink.diagnosis.speed import guess_speed
@@ -41,6 +41,8 @@ FLAWED = 3  # messages: one may be damage that the checksum let pass
 MOST = 0.5  # of the messages: before the first time answer a device has no time
 JUMPS = 2  # in RECENT_S; one is a reset by the device itself
 UNSENT_S = 15.0  # the slowest odometry is sent every second, and the first after some time answers
+FULL = 0.95  # of the line's bytes: messages then wait in the device, or are left out
+BITS_A_BYTE = 10  # with start and stop bit
 ANOTHER_CLOCK_S = 1e6  # 12 days: no clock of a device is so wrong, but a count of seconds since its start
 SECONDS_A_DAY = 86_400
 BOOT_WORDS = (b"ets Jan", b"ets Jun", b"rst cause", b"rst:0x", b"boot mode", b"boot:0x", b"Brownout")
@@ -52,6 +54,7 @@ Rule = Callable[[Evidence], str | None]  # returns the detail; None if the rule 
 def diagnose(evidence: Evidence) -> list[Finding]:
     """Return the faults of a link, the likeliest cause first; empty if there are none."""
     found = {code: each.text for code, each in evidence.complaints.items() if each.ago_s < WHEEL_S}
+    found |= {code: detail for code, detail in evidence.noted.items() if detail}
     if evidence.end in _ENDS:
         found[_ENDS[evidence.end]] = ""
     for code, rule in _RULES.items():
@@ -263,6 +266,18 @@ def _bad_stamp(evidence: Evidence) -> str | None:
     return _flawed(evidence, "zero_stamp", "stamps of 0")
 
 
+def _line_full(evidence: Evidence) -> str | None:
+    """Detect a UART that has no time left. A faster one is a USB port, whose baud rate means nothing."""
+    if evidence.baud is None or evidence.age_s < RECENT_S + JUDGED_S or evidence.silent_s > 1:
+        return None
+    bytes_s, most_bytes_s = evidence.recent.bytes_from_device / RECENT_S, evidence.baud / BITS_A_BYTE
+    if not FULL <= bytes_s / most_bytes_s <= 1 / FULL:
+        return None
+    motion = evidence.motion
+    rate = f"; {motion.topic} has {motion.messages / RECENT_S:.1f} messages/s" if motion.messages else ""
+    return f"{bytes_s:.0f} of {most_bytes_s:.0f} bytes/s at {evidence.baud} baud{rate}"
+
+
 def _odometry_jumps(evidence: Evidence) -> str | None:
     count = evidence.motion.jumps
     return _on(evidence, f"{count} leaps") if count >= JUMPS else None
@@ -277,10 +292,6 @@ def _odometry_unsent(evidence: Evidence) -> str | None:
     if not motion.topic or motion.total or negotiated_s is None or evidence.silent_s >= WENT_SILENT_S:
         return None
     return f"nothing on {motion.topic} for {negotiated_s:.0f} s" if negotiated_s >= UNSENT_S else None
-
-
-def _flashed_alike(evidence: Evidence) -> str | None:
-    return evidence.numbered or None
 
 
 _ENDS = {"refused": "too_many_robots", "crashed": "host_fault", "unanswerable": "unanswerable"}  # of the link
@@ -300,11 +311,11 @@ _RULES: dict[str, Rule] = {
     "bad_pose": _bad_pose,
     "heading_in_z": _heading_in_z,
     "bad_quaternion": _bad_quaternion,
+    "line_full": _line_full,
     "odometry_unsent": _odometry_unsent,
     "odometry_jumps": _odometry_jumps,
     "odometry_disagrees": _odometry_disagrees,
     "bad_stamp": _bad_stamp,
     "slash_frame": _slash_frame,
     "zero_covariance": _zero_covariance,
-    "flashed_alike": _flashed_alike,
 }

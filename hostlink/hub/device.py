@@ -5,12 +5,12 @@ import struct
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import structlog
 
 from hostlink.config import RobotConfig
-from hostlink.errors import BadRequest, HostlinkError, WrongType
+from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind, WrongType
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.gates import Drivable, Echo, LostEndpoint
 from hostlink.hub.message import Message
@@ -21,18 +21,27 @@ from hostlink.hub.topic_graph import resolve
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
 from hostlink.logs import printable
+from hostlink.loop_time import loop_time_s
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import Field
 from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
-from hostlink.robot.command_types import FixedZero, TopicType
-from hostlink.robot.model import NO_SETTINGS, Endpoint, RobotTopicNames, is_velocity
+from hostlink.robot.command_types import FixedZero, TopicType, zero_of
+from hostlink.robot.model import (
+    NO_SETTINGS,
+    Endpoint,
+    RobotTopicNames,
+    is_velocity,
+    name_of,
+    suggestion,
+    unguarded,
+)
 from hostlink.robot.names import Presence
 from hostlink.robot.parts import Membership
 from hostlink.robot.state import BATTERY_TYPE
-from hostlink.robot.velocity import ZERO, Twist
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
 
 if TYPE_CHECKING:
@@ -83,12 +92,7 @@ class ShownNames:
         return robot if shown == robot else shown  # most have the same names: kept once
 
 
-def endpoints_of(infos: Iterable[TopicInfo]) -> list[Endpoint]:
-    """Return the topics of an announcement as the model of robots knows them."""
-    kinds = (Id.PUBLISHER, Id.SUBSCRIBER)
-    return [Endpoint(info.name, info.type, info.kind is Id.SUBSCRIBER) for info in infos if info.kind in kinds]
-
-
+_SIX_NUMBERS = (TWIST_TYPE, TWIST_STAMPED_TYPE)
 _HEADER = Field("header", "std_msgs/Header")
 _STAMP = struct.Struct("<4xII")  # seq, secs, nsecs
 _NS_PER_S = 1_000_000_000
@@ -115,6 +119,28 @@ def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
     return None if found is None else found.fixed_bytes
 
 
+def endpoints_of(infos: Iterable[TopicInfo]) -> list[Endpoint]:
+    """Return the topics of an announcement as the model of robots knows them."""
+    kinds = (Id.PUBLISHER, Id.SUBSCRIBER)
+    return [Endpoint(info.name, info.type, info.is_to_device) for info in infos if info.kind in kinds]
+
+
+class CommandEndpoint(NamedTuple):
+    """Endpoint that commands a motion and is not a robot's, after a stop or a lock. `topic` is its name in the graph.
+
+    `is_guarded`: it has a gate. `reason`: why it was not sent a zero; empty if it was.
+    """
+
+    link: int
+    peer: str
+    robot: str | None  # of its board
+    topic: str
+    type_name: str
+    is_guarded: bool
+    is_locked: bool
+    reason: str = ""
+
+
 class Device:
     """Device of one link: its endpoints in the graph, its robot, its velocity gates and its diagnosis.
 
@@ -122,9 +148,9 @@ class Device:
     """
 
     __slots__ = (
-        "_awaited", "_hub", "_observers", "_odometry", "_reader", "diagnosis", "drivables", "early", "infos",
-        "is_undecided", "link", "lost", "member", "names", "parameters", "presence", "robot", "routes", "services",
-        "settings", "shown", "stop_frames",
+        "_awaited", "_hub", "_lockable", "_observers", "_odometry", "_reader", "diagnosis", "drivables", "early",
+        "infos", "is_undecided", "link", "lost", "member", "names", "parameters", "presence", "refused_settings",
+        "robot", "routes", "services", "settings", "shown", "stop_frames", "unguarded",
     )  # fmt: skip
 
     def __init__(self, link: Link, diagnosis: Diagnosis, presence: Presence, hub: "Hub") -> None:
@@ -137,6 +163,9 @@ class Device:
         self.lost: dict[str, LostEndpoint] = {}  # velocity endpoints that an announcement gave up; set by Gates
         self.settings = NO_SETTINGS  # of its robot's command
         self.member: Membership | None = None  # of a robot of several devices
+        self.refused_settings = ""  # why they do not fit the device
+        self.unguarded: tuple[TopicInfo, ...] = ()  # look like commands of a motion, and have no gate
+        self._lockable: frozenset[str] = frozenset()  # own names of topics without a gate that a lock refuses
         self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()
         self.names: frozenset[str] = frozenset()  # names of its topics in the graph
@@ -172,6 +201,7 @@ class Device:
             self.services[name].expect_late()
         self._awaited.clear()
         self._stand_lost()
+        self._note_unguarded()
 
     def displace(self, name: str, type_name: str, robot: LocalRobot | None) -> None:
         """Remove the device from a topic, because the topic is another robot's own, with this type."""
@@ -206,11 +236,6 @@ class Device:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
     @property
-    def endpoints(self) -> list[Endpoint]:
-        """Its topics as the model of robots knows them."""
-        return endpoints_of(self.infos)
-
-    @property
     def sent_topics(self) -> list[TopicType]:
         """Topics that the device sends, by its own names."""
         return [TopicType(info.name, info.type) for info in self.infos if info.kind is Id.PUBLISHER]
@@ -239,6 +264,7 @@ class Device:
         for info in filter(self._is_velocity, self.infos):
             self._hub.gates.attach(self._drivable(info, None), self)
         self._stand_lost()
+        self._note_unguarded()
 
     def _stand_lost(self) -> None:
         """Send zero to velocity endpoints that the announcement lacks: it may be damaged, and the robot moves on.
@@ -252,6 +278,104 @@ class Device:
                 drivable = self._drivable(info, None)
                 drivable.commands = FixedZero(TopicType(info.name, info.type), zero)
                 self._hub.gates.attach(drivable, self, lost=info)
+
+    # -- endpoints without a gate -------------------------------------------------------------------------------------
+
+    @property
+    def endpoints(self) -> list[Endpoint]:
+        """Topics of the last announcement, as the model of robots knows them."""
+        return endpoints_of(self.infos)
+
+    @property
+    def guarded(self) -> frozenset[str]:
+        """Own names of the topics that have a gate."""
+        return frozenset(topic.name for drivable in self.drivables for topic in drivable.commands.topics)
+
+    @property
+    def lock(self) -> Admission:
+        """Admission whose lock holds for its topics without a gate: the robot's, or that of all boards without one."""
+        robot = self._robot
+        return self._hub.robots.boards if robot is None else robot.admission
+
+    @property
+    def _robot(self) -> LocalRobot | None:
+        """The robot that it is, or of which it is a part."""
+        if self.robot is not None or self.member is None:
+            return self.robot
+        return self._hub.robots.get_here(self.member.robot)
+
+    @property
+    def suggestion(self) -> str:
+        """Lines of hostlink.toml that put its endpoints without a gate in order; empty if there are none."""
+        suspects = [Endpoint(info.name, info.type, info.is_to_device) for info in self.unguarded]
+        if not suspects:
+            return ""
+        part_of = None if self.member is None else self.member.robot
+        known = part_of if self.robot is None else self.robot.name
+        if known is not None:
+            return suggestion(suspects, known, self.link.address, is_robot=True)
+        name = name_of(suspects[0].name) or "my_robot"
+        return suggestion(suspects, name, self.link.address)
+
+    def _note_unguarded(self) -> None:
+        """Find the endpoints that look like commands and have no gate. Under a lock they are sent their zeros."""
+        found = unguarded(self.endpoints, self.settings, self.guarded)
+        names = {each.name for each in found} if not self.diagnosis.is_played else set[str]()
+        self.unguarded = tuple(info for info in self.infos if info.kind is Id.SUBSCRIBER and info.name in names)
+        self._lockable = self.settings.locked | names
+        if self.lock.lock_reason is not None:
+            self.stop_unguarded()
+
+    def stop_unguarded(self) -> list[CommandEndpoint]:
+        """Send zero to each endpoint that looks like a command and has no gate. Older messages to it are dropped."""
+        if self.lock.lock_reason is not None:
+            for info in self.infos:
+                if info.kind is Id.SUBSCRIBER and info.name in self._lockable:
+                    self.link.session.outbox.drop_commands(info.topic_id)
+        for info in self.unguarded:
+            zero = zero_of(info.type)
+            if zero is None or self._why_no_zero(info):
+                self.link.session.outbox.drop_commands(info.topic_id)
+            else:
+                self.link.session.publish(info.name, zero, is_urgent=True)
+        if self.unguarded:
+            self.link.wake()
+        return self.unguarded_endpoints()
+
+    def unguarded_endpoints(self) -> list[CommandEndpoint]:
+        """Return its endpoints that look like commands and have no gate, after `stop_unguarded`."""
+        return [
+            self._endpoint(self.shown.of(info.name), info.type, self.lock, self._why_no_zero(info))
+            for info in self.unguarded
+        ]
+
+    def _why_no_zero(self, info: TopicInfo) -> str:
+        """Return the reason why an endpoint is not sent a zero; empty if it is."""
+        zero = zero_of(info.type)
+        if zero is None:
+            return f"{info.type} has no value that surely means stop"
+        try:
+            self.link.session.endpoint_of(info.name, zero)
+        except HostlinkError as error:
+            return str(error)
+        return ""
+
+    def of_no_robot(self) -> list[CommandEndpoint]:
+        """Return its velocity topics that have a gate and belong to no robot, after a stop."""
+        if self.robot is not None:
+            return []
+        return [
+            self._endpoint(each.name, topic.type_name, each.admission, each.refusals.cause or "", is_guarded=True)
+            for each in self.drivables
+            for topic in each.commands.topics
+        ]
+
+    def _endpoint(
+        self, topic: str, type_name: str, admission: Admission, reason: str, *, is_guarded: bool = False
+    ) -> CommandEndpoint:
+        robot, is_locked = self._robot, admission.lock_reason is not None
+        name = None if robot is None else robot.name
+        return CommandEndpoint(self.link.number, self.link.peer, name, topic, type_name, is_guarded, is_locked, reason)
 
     def note_parameter(self, name: str, parameter: Parameter) -> None:
         """Note the answer to a parameter request. Of more than MAX_PARAMETERS names, the first are kept."""
@@ -364,7 +488,9 @@ class Device:
 
     def _is_velocity(self, info: TopicInfo) -> bool:
         """Whether a topic drives the device by its type and name, and by the robot's settings."""
-        return is_velocity(Endpoint(info.name, info.type, info.is_to_device), self.settings.ignored)
+        settings, endpoint = self.settings, Endpoint(info.name, info.type, info.is_to_device)
+        is_named = settings.is_spatial and info.name in settings.topics and info.type in _SIX_NUMBERS
+        return is_velocity(endpoint, settings.ignored) or (is_named and info.is_to_device)
 
     def _drivable(self, info: TopicInfo, robot: LocalRobot | None) -> Drivable:
         """Create the gate of a further velocity topic of a robot, or of a device that is not identified.
@@ -377,11 +503,16 @@ class Device:
             config = self._hub.robots.config_of(self.member.robot)
             limits = limits_of(config, (topic,))
             shown = self.shown.of(info.name)
-            gate = VelocityGate(Admission(shown, drive=limits.drive), limits, ZERO)
+            admission = Admission(shown, drive=limits.drive)
+            if self.lock.lock_reason is not None:
+                admission.lock(self.lock.lock_reason, loop_time_s(), by=self.lock.locked_by)
+            gate = VelocityGate(admission, limits, ZERO)
             return Drivable(name=shown, commands=commands_of((topic,), config), gate=gate, gates=self._hub.gates)
         if robot is None:
             shown = self.shown.of(info.name)
-            admission = Admission(shown, drive=None)
+            admission, boards = Admission(shown, drive=None), self._hub.robots.boards
+            if boards.lock_reason is not None:
+                admission.lock(boards.lock_reason, loop_time_s(), by=boards.locked_by)
             spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
             commands = commands_of((topic,), RobotConfig())
             return Drivable(name=shown, commands=commands, gate=spatial, gates=self._hub.gates)
@@ -390,7 +521,15 @@ class Device:
         return Drivable(name=robot.name, commands=commands, gate=gate, gates=self._hub.gates)
 
     def _send(self, name: str, reset: LocalRobot | None, message: Message) -> None:
-        """Send a message to the device. `reset` is the robot whose odometry it resets."""
+        """Send a message to the device. `reset` is the robot whose odometry it resets.
+
+        Raises:
+            CommandRefused: it is locked, and the topic commands a motion or is one that a lock refuses by the settings.
+            HostlinkError: the message does not fit the device.
+        """
+        if name in self._lockable and self.lock.lock_reason is not None:
+            text = f"{message.topic}: {self.lock.locked_text}"
+            raise CommandRefused(self.lock.robot, RefusalKind.LOCKED, text, by=self.lock.locked_by)
         if reset is not None:
             reset.odometry.expect_reset(message.at_s)
             reset.feedback.reset_pose()

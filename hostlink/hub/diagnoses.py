@@ -54,6 +54,7 @@ class Diagnosis:
     last_evidence: Evidence | None = None  # of an ended link, until it is evaluated
     robot: str = ""  # name of the robot here; kept after the end
     own_name: str = ""  # announced name, if the robot's name got a number
+    noted: dict[str, str] = field(default_factory=dict)  # codes and details that the hub knows
     is_played: bool = False  # a recording by its topics, not diagnosed: its bytes say nothing about a device
     _announced: list[tuple[int, Announced]] = field(default_factory=list)
 
@@ -279,7 +280,7 @@ class Diagnoses:
             earlier=earlier,
             end=None if diagnosis.end is None else diagnosis.end.value,
             host_clock=self._host_clock,
-            numbered=diagnosis.renaming(),
+            noted={"flashed_alike": diagnosis.renaming(), **diagnosis.noted},
         )
 
     def _announce(self, diagnosis: Diagnosis, found: Finding) -> None:

@@ -41,7 +41,7 @@ WARNINGS = frozenset(  # the device works in spite of these; every other finding
     {
         "boot_noise", "wrong_size", "buffer_too_small", "unknown_ids", "battery_low", "watchdog_restart", "weak_signal",
         "clock_trouble", "damaged", "flashed_alike", "not_let_in", "odometry_jumps", "odometry_disagrees", "bad_stamp",
-        "slash_frame", "zero_covariance", "odometry_unsent",
+        "slash_frame", "zero_covariance", "odometry_unsent", "line_full",
     }
 )  # fmt: skip
 

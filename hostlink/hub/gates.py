@@ -177,7 +177,7 @@ class Echo(NamedTuple):
 
 @dataclass(eq=False, kw_only=True)
 class Drivable(VelocityTarget):
-    """What drives a device, with its gate, which is the only subscriber of its topics in the graph.
+    """Command topics of a device, with their gate, which is their only subscriber in the graph.
 
     It belongs to a robot, or is a velocity topic that the settings exclude from robots.
     """

@@ -13,7 +13,7 @@ from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import ConfigError, HostlinkError, ReloadRefused
-from hostlink.hub.device import Device, ShownNames, check_type, endpoints_of
+from hostlink.hub.device import Device, ShownNames, check_type
 from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.robot import LocalRobot, command_settings
@@ -24,8 +24,8 @@ from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.logs import of_peer, printable
 from hostlink.protocol import events
 from hostlink.protocol.session import Session
-from hostlink.robot.model import CommandSettings, RobotTopicNames
-from hostlink.robot.names import Accepted, Directory, Places, Remembered, Undecided
+from hostlink.robot.model import CommandSettings, RobotTopicNames, namespace_of
+from hostlink.robot.names import Accepted, Directory, Origin, Places, Remembered, Undecided
 from hostlink.transport.base import Transport
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 log = structlog.get_logger()
 
 SILENCE_TIMEOUT_S = 0.5  # for the request for silence before a link ends
+UNGUARDED = "unguarded_command"  # code of the finding
+MAX_TEXT = 500  # characters of a warning: a device has many topics with long names
 END_S = 0.0005  # CPU time for removing a device from the graph
 DECIDE_INTERVAL_S = 0.05  # a robot sends every 0.1 s
 
@@ -264,8 +266,7 @@ class Links:
         found = []
         for number, device in self._devices.items():
             link = device.link
-            endpoints = endpoints_of(device.infos)
-            settings = self._directory.settings_for(endpoints, address=link.address, peer=link.peer)
+            settings = self._directory.settings_for(device.endpoints, address=link.address, peer=link.peer)
             if device.infos and settings != device.settings:
                 found.append(number)
         return found
@@ -291,7 +292,7 @@ class Links:
         claim = self._directory.claim(
             link.number,
             link.address,
-            endpoints_of(infos),
+            device.endpoints,
             now_s=asyncio.get_running_loop().time(),
             peer=link.peer,
             announced=infos,
@@ -334,6 +335,7 @@ class Links:
             self._replace(claim.replaces)
         joined = {each.robot for each in (device.member, claim.member) if each is not None}
         device.settings, device.member = claim.settings, claim.member
+        device.refused_settings = ""
         touched, before = device.names, device.robot
         changed = [] if before is None else [before]
         robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
@@ -347,6 +349,7 @@ class Links:
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         self.on_named()
+        self._log_unguarded(device)
         for message, read in device.early.pop_all():
             device.receive(message, read)
 
@@ -359,6 +362,7 @@ class Links:
             robot = robots.appear(names.name, own, shown.of_robot(own), device)
         except ConfigError as error:
             log.warning("robot.settings_refused", robot=names.name, reason=str(error))
+            device.refused_settings = str(error)
             return None
         self._displace(robot)
         device.announce(device.infos, shown, robot)
@@ -396,6 +400,47 @@ class Links:
                 own_name=claim.own_name,
                 advice=f'choose its name in hostlink.toml: [robots.NAME] address = "{printable(device.link.address)}"',
             )
+
+    def _log_unguarded(self, device: Device) -> None:
+        """Note for the diagnosis what nothing guards, and which settings do not fit. Log what is new."""
+        noted, before = dict[str, str](), device.diagnosis.noted
+        if device.refused_settings:
+            noted["settings_refused"] = device.refused_settings
+        if device.unguarded:
+            topics = ", ".join(f"{device.shown.of(info.name)} ({info.type})" for info in device.unguarded)
+            noted[UNGUARDED] = f"{topics}\n{device.suggestion}"
+            if noted[UNGUARDED] != before.get(UNGUARDED):
+                log.warning(
+                    "device.unguarded_command",
+                    topics=printable(topics, MAX_TEXT),
+                    advice=f"in hostlink.toml: {printable(device.suggestion, MAX_TEXT)}",
+                )
+        device.diagnosis.noted = noted
+
+    def origin_of(self, device: Device) -> tuple[str, str | None]:
+        """Return the source of the name of a device's robot, and the robot whose settings apply to the device.
+
+        The first is empty if it is not a robot.
+        """
+        link = device.link
+        origin, configured = Origin("", link.address, link.peer), self._hub.config.robots
+        found, chosen = self._directory.explain(device.endpoints, origin)
+        robot = device.robot
+        settings = chosen if chosen is not None else robot.name if robot and robot.name in configured else None
+        if robot is None:
+            return "", settings
+        own = "" if found is None else found.name
+        if chosen == robot.name:
+            return f"[robots.{chosen}] in hostlink.toml", settings
+        if own and robot.name == own:
+            command = robot.topics.velocity
+            return f"the {'namespace' if namespace_of(command) else 'name'} of its command {command}", settings
+        if own:
+            return f"its command {robot.topics.velocity}, with a number: another device has the name {own}", settings
+        return (
+            f"a number, which is kept for {link.address}: its command {robot.topics.velocity} tells no name",
+            settings,
+        )
 
     def _replace(self, number: int) -> None:
         """End the old link of a device that reconnected. Its last frame is a zero if it is a robot's."""

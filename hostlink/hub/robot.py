@@ -38,7 +38,7 @@ from hostlink.robot.command_types import (
     WordCommand,
     Words,
 )
-from hostlink.robot.feedback import Feedback, FeedbackSettings
+from hostlink.robot.feedback import Feedback, FeedbackKind, FeedbackSettings
 from hostlink.robot.kinematics import SETTINGS as DIMENSIONS
 from hostlink.robot.kinematics import AckermannDrive, Drive, drive_of
 from hostlink.robot.model import CommandKind, CommandSettings, RobotTopicNames
@@ -46,7 +46,7 @@ from hostlink.robot.names import SURE_S
 from hostlink.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, aged_rate_hz
 from hostlink.robot.readings import OdometryReading
 from hostlink.robot.ros_messages import FrameIds
-from hostlink.robot.standstill import OLD_S
+from hostlink.robot.standstill import NO_ODOMETRY, OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import Limits, VelocityGate
@@ -144,9 +144,9 @@ def command_settings(config: RobotConfig) -> CommandSettings:
     if kind is None and config.command_topic is not None:
         topics = (config.command_topic,)
     is_spatial = config.kinematics == "spatial"
-    ignored = frozenset(config.not_commands)
+    ignored, locked = frozenset(config.not_commands), frozenset(config.locked_topics)
     return CommandSettings(
-        kind, topics, config.feedback.topic, ignored, is_spatial, config.devices, config.command_device
+        kind, topics, config.feedback.topic, ignored, locked, is_spatial, config.devices, config.command_device
     )
 
 
@@ -218,8 +218,6 @@ def commands_of(
 
 LOCK_REASON = "emergency stop"  # default
 MAX_LOCK_REASON = 200  # characters, as many as a fleet passes on; a longer reason ends with an ellipsis
-
-NO_ODOMETRY = "it has no odometry"
 
 Follow = Callable[[Message | None], None]
 
@@ -425,6 +423,9 @@ class LocalRobot(Drivable, AnyRobot):
         self.locked_link = self.link
         try:
             self.gates.lock(self.beside, shown_reason(reason), by=by)
+            for device in (self.connection, *self.parts):
+                if device is not None:
+                    device.stop_unguarded()
         finally:
             self.on_lock(self)
             log.warning("robot.locked", robot=self.name, reason=self.gate.lock_reason)
@@ -458,7 +459,8 @@ class LocalRobot(Drivable, AnyRobot):
         if link is None or self.admission.missing:
             return self.admission.missing or "its device is not connected"
         if not self.feedback.topics:
-            return NO_ODOMETRY
+            cause = self.refusals.cause
+            return NO_ODOMETRY if cause is None else f"its device cannot receive the stop: {cause}"
         flawed = self.flawed_poses(loop_time_s())
         if flawed:
             return f"it sent {flawed} in the last {RECENT_S:.0f} s"
@@ -699,8 +701,9 @@ class RemoteRobot(AnyRobot):
         """Return the reason why odometry does not show whether the robot is stopped."""
         if self.link is None:
             return "its device is not connected"
-        if self.known.odometry_topic is None:
-            return NO_ODOMETRY
+        if self.known.feedback is FeedbackKind.NONE:
+            cause = self.known.unreachable
+            return NO_ODOMETRY if cause is None else f"its device cannot receive the stop: {cause}"
         if self.odometry.count == 0:
             return "it sends no odometry"
         return f"no odometry of it has come from {self.host} since the stop"

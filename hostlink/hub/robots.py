@@ -14,7 +14,7 @@ import structlog
 
 from hostlink.config import RobotConfig
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
-from hostlink.hub.device import Device
+from hostlink.hub.device import CommandEndpoint, Device
 from hostlink.hub.gates import Drivable
 from hostlink.hub.robot import (
     AnyRobot,
@@ -27,6 +27,7 @@ from hostlink.hub.robot import (
     frames_of,
     limits_of,
     of_namesake,
+    shown_reason,
 )
 from hostlink.hub.robot_events import OTHER_TOPICS, EventKind
 from hostlink.link.link import Link
@@ -94,6 +95,7 @@ class Robots:
       robot, and its drivables with their gates. A robot and each drivable know their Device as their `connection`.
     - the robots of this daemon by name, connected or not.
     - `remote`: the robots of other daemons by name.
+    - `boards`: the lock of everything that is not a robot. A lock of all also locks robots that are seen later.
 
     The Directory decides from the announced topics which robot a device is; the registry keeps the decisions. No other
     part has a table of links or robots.
@@ -116,6 +118,7 @@ class Robots:
         self.max_robots = MAX_ROBOTS + len(self._configs)
         self.devices: dict[int, Device] = {}  # oldest first
         self.remote: dict[str, RemoteRobot] = {}  # other code only reads it
+        self.boards = Admission("every board", drive=None)
         self._numbers = itertools.count(1)
         self._robots: dict[str, LocalRobot] = {}
         self._earlier = EarlierCommands()
@@ -219,23 +222,78 @@ class Robots:
                 return other
         return None
 
-    def stop_all(self, *, by: str | None = None) -> None:
-        """Stop every robot, including those of other daemons. `by` is who stops them, for refusals.
+    def stop_all(self, *, by: str | None = None) -> list[CommandEndpoint]:
+        """Stop every robot, including those of other daemons, and every board. `by` is who stops them, for refusals.
+
+        Return the endpoints here that command a motion and are not a robot's, with what became of each.
 
         Raises:
-            HostlinkError: the zero does not fit a device; all others have been stopped.
+            HostlinkError: the zero does not fit a robot's device; all others have been stopped.
         """
         if self._gates.hosts is not None:
             self._gates.hosts.stop(None)
-        self._gates.stop(self.drivables(), by=by)
+        return self.stop_all_here(by=by)
 
-    def stop_all_here(self, *, by: str | None = None) -> None:
-        """Stop every robot of this daemon.
+    def stop_all_here(self, *, by: str | None = None) -> list[CommandEndpoint]:
+        """Stop every robot and every board of this daemon; as `stop_all`."""
+        unguarded = [each for device in self.devices.values() for each in device.stop_unguarded()]
+        try:
+            self._gates.stop(self.drivables(), by=by)
+        except HostlinkError:
+            of_robots = (each for device in self.devices.values() if device.robot for each in device.drivables)
+            if any(each.refusals.cause is not None for each in of_robots):
+                raise  # else it is a board's, which is named below
+        return [*self._of_no_robot(), *unguarded]
+
+    def lock_all(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
+        """Lock every robot, including those of other daemons, and every board, also boards that connect later.
+
+        Return the endpoints here that command a motion and are not a robot's, with what became of each.
 
         Raises:
-            HostlinkError: the zero does not fit a device; all others have been stopped.
+            HostlinkError: the zero does not fit a robot's device; it is locked nevertheless, and so are all others.
         """
-        self._gates.stop(self.drivables(), by=by)
+        now_s, refusal = loop_time_s(), None
+        self.boards.lock(shown_reason(reason), now_s, by=by)
+        log.warning("robots.all_locked", reason=self.boards.lock_reason)
+        for robot in self.all():
+            try:
+                robot.lock(reason, by=by)
+            except HostlinkError as error:
+                refusal = error
+        with contextlib.suppress(HostlinkError):  # it is named below
+            self._gates.lock(self._without_robot(), self.boards.lock_reason or reason, by=by)
+        unguarded = [each for device in self.devices.values() for each in device.stop_unguarded()]
+        if refusal is not None:
+            raise refusal
+        return [*self._of_no_robot(), *unguarded]
+
+    def unlock_all(self, *, by: str | None = None) -> None:
+        """Admit commands of all robots and boards again. Unlocking moves nothing.
+
+        Raises:
+            DeviceGone: several robots of other daemons have one name; all others are unlocked.
+        """
+        refusal = None
+        if self.boards.lock_reason is not None:
+            log.warning("robots.all_unlocked", reason=self.boards.lock_reason)
+        self.boards.unlock(loop_time_s(), by=by)
+        self._gates.unlock(self._without_robot(), by=by)
+        for robot in self.all():
+            if robot.admission.lock_reason is not None:
+                try:
+                    robot.unlock(by=by)
+                except HostlinkError as error:
+                    refusal = error
+        if refusal is not None:
+            raise refusal
+
+    def _without_robot(self) -> list[Drivable]:
+        """Return the velocity topics that belong to no robot."""
+        return [each for device in self.devices.values() if device.robot is None for each in device.drivables]
+
+    def _of_no_robot(self) -> list[CommandEndpoint]:
+        return [each for device in self.devices.values() for each in device.of_no_robot()]
 
     # -- which come and leave -----------------------------------------------------------------------------------------
 
@@ -266,6 +324,8 @@ class Robots:
             robot = self._robots[name] = self._make(name, topics, shown, commands, feedback)
             self._gates.register(robot.admission)
             self._join_early(robot)
+            if self.boards.lock_reason is not None:
+                robot.admission.lock(self.boards.lock_reason, loop_time_s(), by=self.boards.locked_by)
         before = self.device(robot.link)
         if before is not None:
             before.robot = None

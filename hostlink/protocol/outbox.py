@@ -97,12 +97,18 @@ class Outbox:
     def put_urgent(self, topic_id: int, frame: bytes, *, is_kept: bool = False) -> None:
         """Queue a velocity, ahead of everything but time answer and topic request. Ignore it after `put_stop`.
 
+        Commands of its topic that wait are older, and are dropped.
         `is_kept`: a newer command does not replace this frame, such as the zero velocity that starts a session.
         """
         if not self.is_stopped:
             kept = self._urgent.get(topic_id)
             depth = 2 if kept is not None and kept[0].is_kept else 1
+            self.drop_commands(topic_id)
             self._put(self._urgent, topic_id, _QueuedFrame(frame, is_kept=is_kept), depth=depth)
+
+    def drop_commands(self, topic_id: int) -> None:
+        """Drop the commands of a topic that wait."""
+        self.replaced += len(self._commands.pop(topic_id, ()))
 
     def put_reply(self, name: str, frame: bytes) -> None:
         """Queue an answer to a request of the device.

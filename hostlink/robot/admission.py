@@ -4,8 +4,8 @@ Every way in (rosbridge, REST, the page, Foxglove, the client, ROS, the fleet, r
 robot's `Admission` answers with a `Decision`. No other module decides by ages, epochs, locks or leases.
 
 A *source* of commands is a program, a REST owner, a publisher of another graph. It is in one of four states. A source
-*lets go* of a robot by a zero that is not late, by a lease without a command, or by leaving. A zero to one velocity
-topic of the robot is no such, while the source commands another topic.
+*lets go* of a robot by a zero that is not late, by a lease without a command, or by leaving. A source that commands
+another velocity topic of the robot does not let go by a zero to one of them.
 
 | state    | event                                                     | next     | decision              |
 |----------|-----------------------------------------------------------|----------|-----------------------|
@@ -54,7 +54,7 @@ holds the robot no more, except for one that drives another velocity topic at th
 A source that drives keeps its velocity topic from sources of the same priority until it lets go. One of them may say
 `take_over`: what the source drove, on all velocity topics, ends. The source that was taken over must let go before it
 drives or takes over again, and no epoch replaces that: of two that say `take_over` with each command, one drives. A
-source that a higher priority overruled needs not let go, and may drive when the higher one has.
+source that a higher priority overruled may drive as soon as the higher one lets go.
 
 A command without the current epoch is from before a stop if it has waited, here or on its way, since more than
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
@@ -231,7 +231,7 @@ class _Source:
         return max(self.commanded.values(), default=float("-inf"))
 
     def arm(self) -> None:
-        """It has let go."""
+        """Note that the source has let go."""
         self.is_armed, self.taken_by = True, None
         self.commanded.clear()
 
@@ -303,7 +303,7 @@ class Admission:
         if not velocity.is_finite:
             return self._refuse(RefusalKind.NOT_FINITE, "a velocity must consist of finite numbers")
         if self.lock_reason is not None:
-            return self._refuse(RefusalKind.LOCKED, self._locked_text(), by=self.locked_by)
+            return self._refuse(RefusalKind.LOCKED, self.locked_text, by=self.locked_by)
         if not command.is_planar:
             return self._refuse(RefusalKind.UNSUPPORTED, NOT_PLANAR)
         impossible = None if self.drive is None else self.drive.why_impossible(velocity)
@@ -485,8 +485,11 @@ class Admission:
             return f"its stamp is {command.stamp_age_s:.3f} s old, cmd_vel_max_age_s allows {self.max_stamp_age_s:g}"
         return ""
 
-    def _locked_text(self) -> str:
-        return f"locked: {self.lock_reason}; to drive it again: hostlink unlock {shlex.quote(self.robot)}"
+    @property
+    def locked_text(self) -> str:
+        """Reason of a refusal under a lock, with the command that ends it: without a robot, the unlock of all."""
+        whom = "--all" if self.drive is None else shlex.quote(self.robot)
+        return f"locked: {self.lock_reason}; to drive it again: hostlink unlock {whom}"
 
     # -- who drives ---------------------------------------------------------------------------------------------------
 

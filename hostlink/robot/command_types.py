@@ -7,7 +7,7 @@ import math
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final, Generic, NamedTuple, TypeVar
 
 from hostlink.errors import BadPayload, ConfigError, WrongType
 from hostlink.robot.kinematics import AckermannDrive, Drive, Steering
@@ -23,6 +23,8 @@ from hostlink.robot.velocity import (
 ACKERMANN_TYPE: Final = "ackermann_msgs/AckermannDrive"
 ACKERMANN_STAMPED_TYPE: Final = "ackermann_msgs/AckermannDriveStamped"
 JOY_TYPE, JOINT_STATE_TYPE, STRING_TYPE = "sensor_msgs/Joy", "sensor_msgs/JointState", "std_msgs/String"
+CHAR_TYPE: Final = "std_msgs/Char"
+TEXT_TYPES: Final = (STRING_TYPE, CHAR_TYPE)
 ACKERMANN_TYPES: Final = (ACKERMANN_TYPE, ACKERMANN_STAMPED_TYPE)
 
 _NS_PER_S = 1_000_000_000
@@ -69,7 +71,7 @@ class CommandType(ABC):
         """Decode what a program published on a topic of the robot, by the name that the device uses.
 
         Raises:
-            WrongType: the type is none that commands this robot.
+            WrongType: this type does not command the robot.
             BadPayload: the payload is not of this type.
         """
         return decode_twist(topic, type_name, payload)
@@ -140,6 +142,8 @@ class AckermannCommand(CommandType):
         if len(body) != _ACKERMANN.size:
             raise BadPayload(type_name, f"{len(body)} bytes instead of {_ACKERMANN.size}")
         angle_rad, _, speed_m_s, _, _ = _ACKERMANN.unpack(body)
+        if not math.isfinite(angle_rad):  # within the steering's limit it would be one of its ends
+            return Published(PlanarVelocity(speed_m_s, yaw_rad_s=math.nan).twist, stamp_ns)
         return Published(self._drive.velocity_of(Steering(speed_m_s, angle_rad)).twist, stamp_ns)
 
 
@@ -153,8 +157,9 @@ class WheelScale(NamedTuple):
     highest: float = math.inf
 
     def value(self, speed_m_s: float) -> float:
-        """Return the number for a speed."""
-        return min(max(self.rest + self.direction * speed_m_s * self.per_m_s, self.lowest), self.highest)
+        """Return the number for a speed. What is not a number after an overflow is `rest`."""
+        value = min(max(self.rest + self.direction * speed_m_s * self.per_m_s, self.lowest), self.highest)
+        return self.rest if math.isnan(value) else value
 
 
 class WheelCommand(CommandType):
@@ -255,53 +260,77 @@ class JoyCommand(CommandType):
         return Published(PlanarVelocity(*speeds).twist, stamp_ns)
 
 
-class Words(NamedTuple):
-    """Texts of a robot that is driven by words."""
+T = TypeVar("T", str, bytes)
 
-    forward: str
-    backward: str
-    left: str
-    right: str
-    stop: str
+
+class Words(NamedTuple, Generic[T]):
+    """Texts of a robot that is driven by words, or their messages."""
+
+    forward: T
+    backward: T
+    left: T
+    right: T
+    stop: T
 
 
 class WordCommand(CommandType):
-    """A std_msgs/String: the word of the direction that a velocity has most of. It promises no speed."""
+    """A String, Char or number: the word of the direction that a velocity has most of. It promises no speed."""
 
-    def __init__(self, topic: TopicType, words: Words, full: PlanarVelocity) -> None:
-        """`full`: the limits, by which forward and turning motion are compared."""
+    def __init__(self, topic: TopicType, words: Words[str], full: PlanarVelocity) -> None:
+        """`full`: the limits, by which forward and turning motion are compared.
+
+        Raises:
+            ConfigError: a word does not fit the type of the topic.
+        """
         super().__init__((topic,))
-        self._words, self._full = words, full
+        self._full = full
+        self._words = words
+        self._payloads = Words(*(_word(topic.type_name, word) for word in words))
 
     def encode(self, velocity: AnyVelocity, stamp_ns: int = 0) -> tuple[bytes, ...]:  # noqa: ARG002 - no stamp
         """Encode a word."""
         x_m_s, _, yaw_rad_s = _planar(velocity)
-        words = self._words
+        words = self._payloads
         if not (x_m_s or yaw_rad_s):
-            word = words.stop
-        elif abs(x_m_s) * (self._full.yaw_rad_s or 1.0) >= abs(yaw_rad_s) * (self._full.x_m_s or 1.0):
-            word = words.forward if x_m_s > 0 else words.backward
-        else:
-            word = words.left if yaw_rad_s > 0 else words.right
-        text = word.encode()
-        return (_LENGTH.pack(len(text)) + text,)
+            return (words.stop,)
+        if abs(x_m_s) * (self._full.yaw_rad_s or 1.0) >= abs(yaw_rad_s) * (self._full.x_m_s or 1.0):
+            return (words.forward if x_m_s > 0 else words.backward,)
+        return (words.left if yaw_rad_s > 0 else words.right,)
 
     def decode(self, topic: str, type_name: str, payload: bytes) -> Published:
         """Decode a word as the full velocity of its direction."""
-        if type_name != STRING_TYPE:
+        if type_name != self.topics[0].type_name:
             return super().decode(topic, type_name, payload)
-        text, words, full = payload[_LENGTH.size :].decode(errors="replace"), self._words, self._full
+        words, full = self._payloads, self._full
         found = {
             words.forward: PlanarVelocity(full.x_m_s),
             words.backward: PlanarVelocity(-full.x_m_s),
             words.left: PlanarVelocity(yaw_rad_s=full.yaw_rad_s),
             words.right: PlanarVelocity(yaw_rad_s=-full.yaw_rad_s),
             words.stop: ZERO,
-        }.get(text)
+        }.get(payload)
         if found is None:
-            known = ", ".join(map(repr, words))
-            raise BadPayload(type_name, f"{text[:32]!r} is not a word of the robot: {known}")
+            shown = payload[_LENGTH.size :].decode(errors="replace") if type_name == STRING_TYPE else payload.hex()
+            known = ", ".join(map(repr, self._words))
+            raise BadPayload(type_name, f"{shown[:32]!r} is not a word of the robot: {known}")
         return Published(found.twist)
+
+
+def _word(type_name: str, word: str) -> bytes:
+    """Return the message of a word.
+
+    Raises:
+        ConfigError: the word does not fit the type.
+    """
+    text = word.encode()
+    if type_name == STRING_TYPE:
+        return _LENGTH.pack(len(text)) + text
+    if type_name == CHAR_TYPE and len(text) == 1:
+        return text
+    try:
+        return _number(NUMBER_TYPES[type_name], float(word))
+    except (KeyError, ValueError) as error:
+        raise ConfigError("words", f"{word!r} is not a value of {type_name}") from error
 
 
 # -- layouts ----------------------------------------------------------------------------------------------------------
@@ -323,6 +352,9 @@ def zero_of(type_name: str) -> bytes | None:
 
 
 def _planar(velocity: AnyVelocity) -> PlanarVelocity:
+    """Return the velocity of a robot; zero if it is not finite: no direction follows from it."""
+    if not velocity.is_finite:
+        return ZERO
     if isinstance(velocity, PlanarVelocity):
         return velocity
     return velocity.planar if isinstance(velocity, Twist) else ZERO  # there is no third kind
@@ -349,7 +381,7 @@ def _float32(value: float) -> float:
 def _number(code: str, value: float) -> bytes:
     if code in _WHOLE:
         lowest, highest = _WHOLE[code]
-        return struct.pack(f"<{code}", min(max(round(value), lowest), highest))
+        return struct.pack(f"<{code}", round(min(max(value, lowest), highest)))
     return struct.pack(f"<{code}", _float32(value) if code == "f" else value)
 
 

@@ -14,8 +14,9 @@ device's protocol.
 """
 
 import itertools
+import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -26,7 +27,7 @@ from hostlink.robot.command_types import (
     JOINT_STATE_TYPE,
     JOY_TYPE,
     NUMBER_TYPES,
-    STRING_TYPE,
+    TEXT_TYPES,
     TopicType,
 )
 from hostlink.robot.feedback import recognised
@@ -39,12 +40,20 @@ _USUAL_NAMES: Final = ("velocity_commands", "cmd_vel")  # the likelier first
 _USUAL_POSES: Final = ("nav_msgs/Odometry", "geometry_msgs/Pose2D")
 _TWISTS: Final = (TWIST_TYPE, TWIST_STAMPED_TYPE)
 _NO_MOTION: Final = frozenset({"std_msgs/Bool", "std_msgs/Empty", "std_msgs/ColorRGBA", "std_msgs/Time"})
-_MOTION: Final = re.compile(r"vel|drive|twist|cmd|motion|move", re.IGNORECASE)
+_MOTION: Final = re.compile(
+    r"vel|drive|twist|cmd|command|control|(?<!e)mot(ion|or)|move|mov$|speed|teleop", re.IGNORECASE
+)
 _SUSPECT: Final = re.compile(
-    r"vel(ocity)?$|^cmd|cmd$|command|control|motor|wheel|speed|pwm|steer|throttle|thrust|traction|move|drive",
+    r"vel(ocity|ocities)?$|^vel|^cmd|cmds?$|command|control|(?<!e)mot(ion|or)|mtr|wheel|speed|spd|pwm|dut(y|ies)|steer|throttle"
+    r"|thrust|traction|move|mov$|drive|rotat|joy",
     re.IGNORECASE,
 )
-_SERVO: Final = re.compile(r"servo|arm|joint|gripper|angle|position|actuat|stepper|lift|wing", re.IGNORECASE)
+_SPOKEN: Final = re.compile(r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE)  # texts
+_SERVO: Final = re.compile(
+    r"servo|(?:^|[/_])arm(?![a-z])|joint|gripper|angle|position|actuat|stepper|lift|wing", re.IGNORECASE
+)
+_WHEEL: Final = re.compile(r"vel(ocity)?$|motor|wheel|speed|pwm|throttle", re.IGNORECASE)
+_TRIGGER: Final = re.compile(r"open|close|launch|fire|shoot|release|drop|grip|kick|throw|pick", re.IGNORECASE)
 # Words of a topic's name that tell what it is, but not whose.
 _COMMON: Final = frozenset({
     "ackermann", "base", "cb", "cmd", "cmdvel", "command", "commands", "control", "controller", "ctrl", "drive", "from",
@@ -53,7 +62,16 @@ _COMMON: Final = frozenset({
     "the", "to", "topic", "twist", "unstamped", "vel", "velocities", "velocity", "wheel", "wheels",
 })  # fmt: skip
 _SHORTEST_WORD: Final = 3
-_MAX_WHEELS: Final = 8  # in a suggestion
+_TRIGGERS: Final = ("std_msgs/Empty", "std_msgs/Bool")
+_SIDES: Final = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
+_NO_WHEEL: Final = re.compile(r"mode|steer|rotat|turn|limit|enable", re.IGNORECASE)
+# What a number of wheels needs besides its topics, in a suggestion.
+_WHEELS_NEED: Final = {
+    1: "",
+    2: "",
+    3: 'kinematics = "omni3"\nwheel_distance_m = 0.1\n',
+    4: 'kinematics = "skid_steer"\n',
+}
 
 
 class Endpoint(NamedTuple):
@@ -74,13 +92,27 @@ class CommandKind(StrEnum):
     WORDS = "words"
 
 
+class Role(StrEnum):
+    """Role of a topic for its device, as `hostlink robots --explain` shows it."""
+
+    COMMAND = "command"  # of its robot
+    VELOCITY = "velocity"  # a further one, with a gate
+    UNGUARDED = "unguarded"  # looks like a command, and nothing guards it
+    LOCKED = "locked"  # a lock refuses it, by the settings
+    IGNORED = "ignored"  # it commands no motion, by the settings
+    ACTUATOR = "actuator"  # sets positions
+    FEEDBACK = "feedback"  # tells of its robot's motion
+    DATA = "data"
+
+
 class CommandSettings(NamedTuple):
-    """What the settings say of one robot's command. Topics are as the device names them."""
+    """Settings of one robot's command. Topics are as the device names them."""
 
     kind: CommandKind | None = None  # None: it is recognised
     topics: tuple[str, ...] = ()  # that command it; empty: they are recognised
     odometry: str | None = None  # the topic of its pose or velocity; "": it has none; None: it is recognised
     ignored: frozenset[str] = frozenset()  # topics that command no motion, whatever their name and type
+    locked: frozenset[str] = frozenset()  # topics of no velocity that a lock refuses, for example of servos
     is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
     devices: tuple[str, ...] = ()  # addresses, ports and names of its devices, if it consists of several
     command_device: str | None = None  # the one that is commanded; None: the only one that takes a velocity
@@ -175,30 +207,54 @@ def is_velocity(endpoint: Endpoint, ignored: frozenset[str] = frozenset()) -> bo
     )
 
 
-def unguarded(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETTINGS) -> list[Endpoint]:
-    """Return the endpoints that look like commands of a motion, and that nothing guards."""
-    commands = {topic.name for topic in _commands(endpoints, settings)[0]}
+def unguarded(
+    endpoints: Sequence[Endpoint],
+    settings: CommandSettings = NO_SETTINGS,
+    guarded: Collection[str] | None = None,
+) -> list[Endpoint]:
+    """Return the endpoints that look like commands of a motion, and that nothing guards.
+
+    `guarded`: names of the topics that have a gate; None: those that the model gives one.
+    """
+    if guarded is None:
+        guarded = {topic.name for topic in _commands(endpoints, settings)[0]}
+        guarded |= {each.name for each in endpoints if is_velocity(each, settings.ignored)}
+    passed = {*guarded, *settings.ignored, *settings.locked}
     return [
         each
         for each in endpoints
         if each.is_to_device
-        and each.name not in commands
-        and each.name not in settings.ignored
-        and not is_velocity(each)
-        and (each.type_name in {*_TWISTS, JOY_TYPE} or _looks_like_motion(each))
+        and each.name not in passed
+        and (
+            each.type_name in {*_TWISTS, *ACKERMANN_TYPES, JOY_TYPE}
+            or each.name in settings.topics
+            or _looks_like_motion(each)
+        )
     ]
 
 
 def actuators(endpoints: Sequence[Endpoint], settings: CommandSettings = NO_SETTINGS) -> list[Endpoint]:
     """Return the endpoints that set positions: servos, joints, a joystick that a board reads."""
     commands = {topic.name for topic in _commands(endpoints, settings)[0]}
-    return [
-        each
-        for each in endpoints
-        if each.is_to_device
-        and each.name not in commands
-        and (each.type_name == JOINT_STATE_TYPE or (_is_motor(each) and _SERVO.search(each.name) is not None))
-    ]
+    commands |= {each.name for each in endpoints if is_velocity(each)}
+    return [each for each in endpoints if each.is_to_device and each.name not in commands and _is_position(each)]
+
+
+def roles(
+    endpoints: Sequence[Endpoint],
+    settings: CommandSettings,
+    *,
+    commands: Collection[str],
+    guarded: Collection[str],
+    feedback: Collection[str],
+) -> list[tuple[Endpoint, Role]]:
+    """Return what each topic is for its device. `commands`, `guarded` and `feedback` are names of topics."""
+    to_device: dict[str, Role] = {each.name: Role.ACTUATOR for each in actuators(endpoints, settings)}
+    to_device |= {each.name: Role.UNGUARDED for each in unguarded(endpoints, settings, guarded)}
+    to_device |= dict.fromkeys(settings.locked, Role.LOCKED) | dict.fromkeys(settings.ignored, Role.IGNORED)
+    to_device |= dict.fromkeys(guarded, Role.VELOCITY) | dict.fromkeys(commands, Role.COMMAND)
+    from_device = dict.fromkeys(feedback, Role.FEEDBACK)
+    return [(each, (to_device if each.is_to_device else from_device).get(each.name, Role.DATA)) for each in endpoints]
 
 
 def name_of(command: str, odometry: str = "") -> str:
@@ -218,29 +274,39 @@ def _is_telling(word: str) -> bool:
     return len(word) >= _SHORTEST_WORD and word.isalpha() and (word.islower() or word[0].isupper())
 
 
-def suggestion(suspects: Sequence[Endpoint], name: str, address: str) -> str:
+def suggestion(suspects: Sequence[Endpoint], name: str, address: str, *, is_robot: bool = False) -> str:
     """Return lines of hostlink.toml that make a robot of a device with these unguarded endpoints.
 
-    `name` and `address` are the robot's. A type that hostlink cannot encode is refused by a lock at least.
+    `name` and `address` are the robot's. A type that hostlink cannot encode is refused by a lock at least, and so are
+    the topics of a device that is a robot already.
     """
-    address_line = f'[robots.{name}]\naddress = "{address}"\n'
+    topics = ", ".join(_quoted(each.name) for each in suspects)
+    if is_robot:
+        return f"[robots.{name}]\nlocked_topics = [{topics}]"
+    address_line = f"[robots.{name}]\naddress = {_quoted(address)}\n"
     by_type: dict[str, list[str]] = {}
     for each in suspects:
         by_type.setdefault(each.type_name, []).append(each.name)
     for type_name, names in by_type.items():
         first = names[0]
         if type_name in _TWISTS:
-            return f'{address_line}command_topic = "{first}"'
-        if type_name in NUMBER_TYPES or type_name in ARRAY_TYPES:
-            topics = ", ".join(f'"{each}"' for each in names[:_MAX_WHEELS])
-            return f'{address_line}[robots.{name}.wheels]\ntopics = [{topics}]\nunit = "pwm"'
+            return f"{address_line}command_topic = {_quoted(first)}"
+        wheels = [first] if type_name in ARRAY_TYPES else _wheel_topics(suspects) if type_name in NUMBER_TYPES else []
+        if len(wheels) in _WHEELS_NEED:
+            listed = ", ".join(map(_quoted, wheels))
+            need = _WHEELS_NEED[len(wheels)]
+            return f'{address_line}{need}[robots.{name}.wheels]\ntopics = [{listed}]\nunit = "pwm"'
         if type_name == JOY_TYPE:
-            return f'{address_line}[robots.{name}.joy]\ntopic = "{first}"\nx_axis = 1\nyaw_axis = 0'
-        if type_name == STRING_TYPE:
+            return f"{address_line}[robots.{name}.joy]\ntopic = {_quoted(first)}\nx_axis = 1\nyaw_axis = 0"
+        if type_name in TEXT_TYPES:
             words = 'forward = "F"\nbackward = "B"\nleft = "L"\nright = "R"\nstop = "S"'
-            return f'{address_line}[robots.{name}.words]\ntopic = "{first}"\n{words}'
-    topics = ", ".join(f'"{each.name}"' for each in suspects)
+            return f"{address_line}[robots.{name}.words]\ntopic = {_quoted(first)}\n{words}"
     return f"{address_line}locked_topics = [{topics}]"
+
+
+def _quoted(text: str) -> str:
+    """Return a string of TOML: a device may announce any name."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 # -- recognition ------------------------------------------------------------------------------------------------------
@@ -325,8 +391,37 @@ def _is_motor(endpoint: Endpoint) -> bool:
 
 
 def _looks_like_motion(endpoint: Endpoint) -> bool:
-    is_position = endpoint.type_name == JOINT_STATE_TYPE or _SERVO.search(endpoint.name) is not None
-    return _is_motor(endpoint) and not is_position and any(map(_SUSPECT.search, _parts(endpoint.name)))
+    if not _is_motor(endpoint) or _is_position(endpoint):
+        return False
+    is_spoken = endpoint.type_name in TEXT_TYPES and _SPOKEN.search(endpoint.name) is not None
+    return is_spoken or any(map(_SUSPECT.search, _parts(endpoint.name)))
+
+
+def _is_position(endpoint: Endpoint) -> bool:
+    """Whether it sets a position or starts a movement. In the namespace of an arm, a motor is a motor all the same."""
+    if endpoint.type_name in _TRIGGERS:
+        return _TRIGGER.search(leaf_of(endpoint.name)) is not None
+    if endpoint.type_name == JOINT_STATE_TYPE:
+        return True
+    leaf = leaf_of(endpoint.name)
+    is_servo = _SERVO.search(leaf) is not None or (_SERVO.search(endpoint.name) and not _WHEEL.search(leaf))
+    return _is_motor(endpoint) and bool(is_servo)
+
+
+def _wheel_topics(suspects: Sequence[Endpoint]) -> list[str]:
+    """Return the topics of the wheels, in their order: those that are pairs of left and right, if there are any."""
+    names = [each.name for each in suspects if each.type_name in NUMBER_TYPES]
+    pairs: dict[str, str] = {}
+    for name in names:
+        for left, right in _SIDES:
+            starts = [found.start() for found in re.finditer(left, name)]
+            others = [name[:start] + right + name[start + len(left) :] for start in starts]
+            other = next((each for each in others if each in names), None)
+            if other is not None and name not in pairs and other not in pairs.values():
+                pairs[name] = other
+    if pairs:
+        return [topic for pair in pairs.items() for topic in pair]
+    return [name for name in names if _NO_WHEEL.search(leaf_of(name)) is None] or names[:1]
 
 
 def select(settings: Mapping[str, CommandSettings], endpoints: Sequence[Endpoint]) -> str | None:

@@ -515,6 +515,15 @@ class Directory:
             return find_robot(topics, named), named
         return robot, settings
 
+    def explain(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[RobotTopicNames | None, str | None]:
+        """Return the robot that a device is by its own topics and settings, and the name that the settings give it."""
+        member = self.member(topics, origin)
+        if member is not None:
+            return self.find(topics, origin)[0], member.robot
+        chosen, _ = self._described(topics, origin)
+        given = next(iter(self._names.places.at(origin)), None)
+        return self.find(topics, origin)[0], chosen if chosen is not None else given
+
     def settings_for(self, topics: Sequence[Endpoint], *, address: str, peer: str) -> CommandSettings:
         """Return the settings of the command of a device."""
         return self.find(topics, Origin("", address, peer))[1]

@@ -20,6 +20,9 @@ PATIENCE_S = 1.0  # a heavy robot has begun to move by then
 OLD_S = 1.0  # odometry is published ten times a second and more
 
 
+NO_ODOMETRY = "it has no odometry"  # the reason of a robot that was sent its zero, and measures nothing
+
+
 class StandstillState(StrEnum):
     """Result of odometry after a stop."""
 
@@ -61,6 +64,8 @@ def sentence(robot: str, measured: Standstill) -> str:
     if measured.state is StandstillState.STOPPED:
         speed = "" if measured.speed_m_s is None else f"{abs(measured.speed_m_s):.2f} m/s "
         return f"{robot} is stopped ({speed}after {measured.after_s or 0.0:.1f} s)"
+    if measured.reason == NO_ODOMETRY:
+        return f"zero sent; {robot} has no odometry, so nobody can say that it is stopped"
     if measured.state is StandstillState.UNKNOWN:
         return f"{robot}: it is not known whether it is stopped: {measured.reason}"
     if measured.speed_m_s is None:

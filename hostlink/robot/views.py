@@ -83,6 +83,24 @@ class RobotView(TypedDict):
     firmware: str | None
 
 
+class CommandEndpointView(TypedDict):
+    """A topic that commands a motion and is not a robot's, after a stop or a lock of all.
+
+    robot: of its board; null: the board is not a robot. is_guarded: it has a gate; otherwise hostlink only sends zeros
+    and refuses messages under a lock. reason: why it was not sent a zero; empty if it was.
+    """
+
+    link: int
+    peer: str
+    robot: str | None
+    topic: str
+    type: str
+    is_guarded: bool
+    is_locked: bool
+    is_zero_sent: bool
+    reason: str
+
+
 class TopicView(TypedDict):
     """A topic of the graph."""
 

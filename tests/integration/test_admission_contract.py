@@ -15,15 +15,19 @@ from pathlib import Path
 
 import pytest
 
+from hostlink.config import Config
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.hub.participant import Participant
-from hostlink.protocol.frame import Id
+from hostlink.protocol.frame import Frame, Id
+from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S, Admission
 from hostlink.robot.kinematics import DifferentialDrive
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from tests.support import entry_points
+from tests.support.command_boards import BOARDS
 from tests.support.entry_points import EntryPoint
 from tests.support.fake_device import robot_topics, topic
+from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.participants import ROBOT, Scene, play
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import VirtualLoop
@@ -594,6 +598,116 @@ def test_row_holds_for_entry_point(entry_point: type[EntryPoint], row: str) -> N
             await way.end()
 
     play(test)
+
+
+#: What every board hears of every entry point, whatever its type of command.
+OF_EVERY_BOARD = [
+    each for each in ENTRY_POINTS if each not in (entry_points.RosbridgeRaw, entry_points.Play, entry_points.Demo)
+]
+
+
+#: Every board hears those of COMPLETE. Each further entry point drives one board: a gate does not know its source.
+PAIRS = [(name, each) for name in BOARDS for each in COMPLETE] + [
+    (list(BOARDS)[number % len(BOARDS)], each)
+    for number, each in enumerate(each for each in OF_EVERY_BOARD if each not in COMPLETE)
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "entry_point"), PAIRS)
+def test_board_of_each_command_type_obeys_the_admission(name: str, entry_point: type[EntryPoint]) -> None:
+    """Lease, limit, stop, lock, reboot of the board and end of the source, by what the board received.
+
+    `RosbridgeRaw` publishes a Twist on the device's own topic; `Play` and `Demo` end with their first refusal.
+    """
+    board = BOARDS[name]
+
+    async def test(made: Scene) -> None:
+        way, found = entry_point(made), made.hub.robots.find_here(ROBOT)
+        await way.begin()
+        lines = []
+
+        def newest() -> list[tuple[int, bytes]]:
+            return [(number, made.robot.payloads(info.topic_id)[-1]) for number, info in enumerate(board.infos)]
+
+        async def moves(event: str) -> None:
+            await asyncio.sleep(0.5)
+            heard = newest()
+            lines.append((event, heard))
+            assert not any(board.is_at_rest(number, payload) for number, payload in heard), lines
+
+        async def rests(event: str, for_s: float = 1.0) -> None:
+            await asyncio.sleep(0.1)
+            before = [len(made.robot.payloads(info.topic_id)) for info in board.infos]
+            lines.append((event, newest()))
+            await asyncio.sleep(for_s)
+            for number, info in enumerate(board.infos):
+                since = made.robot.payloads(info.topic_id)[before[number] - 1 :]
+                assert since, lines
+                assert all(board.is_at_rest(number, payload) for payload in since), lines
+
+        async def again() -> None:
+            await way.zero()
+            await asyncio.sleep(LEASE_S + 0.2)
+            await way.start()
+
+        await rests("connected")
+        await way.start()
+        await moves("driven")
+        assert max(board.largest(number, payload) for number, payload in newest()) <= 1.0  # the usual limit
+        way.silence()
+        await asyncio.sleep(LEASE_S)
+        await rests("the lease has ended")
+        await again()
+        await moves("driven again")
+        found.stop()
+        await rests("stopped")
+        await again()
+        await moves("armed by a zero")
+        found.lock("smoke")
+        await rests("locked")
+        found.unlock()
+        await rests("unlocked")
+        await again()
+        await moves("armed by a zero again")
+        await made.robot.aclose()
+        made.robot = ScriptedDevice(made.hub, board.infos, address="10.0.0.1")
+        await rests("rebooted")
+        await again()
+        await moves("armed after the reboot")
+        way.silence()
+        await way.vanish()
+        await rests("the source has left")
+        await way.end()
+        assert made.hub.robots.find_here(ROBOT) is found
+
+    config = Config() if board.config is None else Config(robots={ROBOT: board.config})
+    play(test, config, board.infos)
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_guardian_has_frames_that_stop_each_command_type(name: str) -> None:
+    """The guardian writes one frame for each command topic after the daemon was killed; each frame means rest."""
+    board = BOARDS[name]
+
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect(board.infos, address="10.0.0.1")
+        zeros, _ = made.guard.watched[device.link.number]
+        stream = FrameStream()
+        frames = list(stream.feed(b"".join(zeros)))
+        assert [frame.topic_id for frame in frames if isinstance(frame, Frame)] == [
+            info.topic_id for info in board.infos
+        ]
+        for number, frame in enumerate(frames):
+            assert isinstance(frame, Frame)
+            assert board.is_at_rest(number, frame.payload)
+        assert device.link.last_frame == b"".join(zeros)  # the daemon's own last words are the same
+        made.hub.join("driver").drive(made.robot(ROBOT), PlanarVelocity(0.2))
+        await asyncio.sleep(0.1)
+        assert made.guard.driven == {device.link.number}
+        await device.aclose()
+
+    in_hub(test, Config() if board.config is None else Config(robots={ROBOT: board.config}))
 
 
 def test_stream_of_ros2_that_is_not_planar_is_refused_and_disarmed_by_a_stop() -> None:

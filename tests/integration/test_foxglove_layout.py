@@ -7,7 +7,7 @@ from typing import Any
 
 from hostlink.api.foxglove import FoxgloveDirectory
 from hostlink.config import RobotConfig
-from hostlink.hub.robot_topic_publisher import frames_of
+from hostlink.hub.robot import frames_of
 from hostlink.messages.message_type import MessageType
 from tests.support.daemon import daemon
 from tests.support.simulated import simulated_robot

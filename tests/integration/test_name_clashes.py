@@ -31,12 +31,14 @@ async def goes_on(host: Daemon, device: FakeDevice, *, name: str = "robot_0") ->
 
 
 async def test_one_name_in_both_directions_and_of_two_types() -> None:
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics()) as honest,
-        fake_device(host.tcp, BOTH_WAYS) as device,
-    ):
-        await expect(lambda: host.hub.robots.find("robot").link)
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as honest:
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        await _both_ways(host, honest)
+
+
+async def _both_ways(host: Daemon, honest: FakeDevice) -> None:
+    async with fake_device(host.tcp, BOTH_WAYS) as device:
+        await expect(lambda: host.hub.robots.find("robot_1").link)
         for message_type in (TWIST, POSE):
             type_ = CATALOG.message(message_type)
             assert type_ is not None
@@ -45,7 +47,7 @@ async def test_one_name_in_both_directions_and_of_two_types() -> None:
             except HostlinkError:
                 assert message_type != host.hub.topics.find("/x").type_name
         await device.send(pose(3.0))
-        await goes_on(host, device, name="robot")
+        await goes_on(host, device, name="robot_1")
         await goes_on(host, honest)
 
 
@@ -93,7 +95,8 @@ async def test_a_device_that_publishes_on_its_own_velocity_topic_does_not_drive_
 
 async def test_two_robots_that_share_a_velocity_topic_are_both_driven_by_it() -> None:
     def shared(name: str) -> list[TopicInfo]:
-        return [topic(Id.SUBSCRIBER, 100, "/cmd_vel", TWIST), topic(Id.PUBLISHER, 125, f"/{name}/odometry", POSE)]
+        own = topic(Id.SUBSCRIBER, 101, f"/{name}/velocity_commands", TWIST)
+        return [topic(Id.SUBSCRIBER, 100, "/cmd_vel", TWIST), own, topic(Id.PUBLISHER, 125, f"/{name}/odometry", POSE)]
 
     async with daemon() as host, fake_device(host.tcp, shared("a")) as one:
         async with fake_device(host.tcp, shared("b")) as other:

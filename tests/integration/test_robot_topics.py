@@ -184,7 +184,12 @@ async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_publishes() -> 
     assert type_ is not None
     covariance = [float(number) for number in range(36)]
     twist = {"twist": {"linear": {"x": 0.2, "y": -0.1}, "angular": {"z": 0.5}}}
-    message = type_.encode({"pose": {"pose": {"position": {"x": 3.0}}, "covariance": covariance}, "twist": twist})
+    message = type_.encode(
+        {
+            "pose": {"pose": {"position": {"x": 3.0}, "orientation": {"w": 1.0}}, "covariance": covariance},
+            "twist": twist,
+        }
+    )
     async with (
         daemon() as host,
         fake_device(host.tcp, [wheels, robot_topics()[1]]) as device,

@@ -430,7 +430,7 @@ def test_stop_and_velocity_that_a_late_loop_reads_at_once_have_no_order() -> Non
 def test_a_zero_is_obeyed_however_old_it_is() -> None:
     async def check(made: World, robot: NumberedRobot) -> None:
         robot_0, topic = await ready(made), made.hub.topics.find("/robot_0/velocity_commands")
-        program = made.hub.join("program")
+        program = made.hub.join("program", priority=60)
         program.drive(robot_0, FAST, sent_s=loop().time())
         await asyncio.sleep(0.1)
         since_s = loop().time()

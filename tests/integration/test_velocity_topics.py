@@ -233,7 +233,7 @@ def test_twist_of_a_topic_without_a_name_of_a_velocity_is_sent_once_and_unchange
     play(test)
 
 
-def test_second_velocity_of_a_robot_has_the_robots_limits_and_another_device_none() -> None:
+def test_second_velocity_of_a_robot_has_the_robots_limits_and_another_device_its_own() -> None:
     async def run() -> tuple[bytes, bytes]:
         hub = Hub(Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.25)}), CATALOG)
         async with running_hub(hub):
@@ -248,7 +248,7 @@ def test_second_velocity_of_a_robot_has_the_robots_limits_and_another_device_non
         return robot.payloads(ARM_ID)[-1], cart.payloads(100)[-1]
 
     with capture_logs():
-        assert run_virtual(run()) == (twist(0.25), twist(30.0))
+        assert run_virtual(run()) == (twist(0.25), twist(1.0))
 
 
 def test_commands_of_a_device_before_its_identification_are_not_obeyed_later() -> None:
@@ -383,16 +383,17 @@ class TestOneRobot:
 
         play_arm(test)
 
-    def test_velocity_topics_of_a_device_that_is_not_a_robot_are_driven_apart(self) -> None:
+    def test_velocity_topics_of_a_device_without_pose_are_those_of_one_robot(self) -> None:
         async def test(made: Scene) -> None:
             infos = [*NO_POSE, topic(Id.SUBSCRIBER, 102, "/crane/cmd_vel", "geometry_msgs/Twist")]
             device = ScriptedDevice(made.hub, infos, address="10.0.0.3")
             await asyncio.sleep(0.5)
             person, script = made.hub.join("person", priority=60), made.hub.join("script")
             person.publish("/cart/cmd_vel", twist(0.2))
-            script.publish("/crane/cmd_vel", twist(0.3))
+            with pytest.raises(CommandRefused, match="person"):
+                script.publish("/crane/cmd_vel", twist(0.3))
             await asyncio.sleep(0.1)
-            assert (device.payloads(100)[-1], device.payloads(102)[-1]) == (twist(0.2), twist(0.3))
+            assert (device.payloads(100)[-1], device.payloads(102)[-1]) == (twist(0.2), twist(0.0))
             await device.aclose()
             await asyncio.sleep(0.5)
 

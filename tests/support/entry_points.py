@@ -46,6 +46,7 @@ from hostlink.graphs.zenoh.rmw_protocol import (
 from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
+from hostlink.hub.robot_topic_publisher import twist_topic
 from hostlink.mirror.log_once import LogOnce
 from hostlink.protocol.frame import Id, encode
 from hostlink.recording.channel import VELOCITY, ros_channel
@@ -570,7 +571,7 @@ class FleetPublisher(Fleet):
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         self._driver.publish(
-            self.made.hub.robots.find_here(ROBOT).shown.velocity, PlanarVelocity(speed_m_s, left_m_s).encode()
+            twist_topic(self.made.hub.robots.find_here(ROBOT)), PlanarVelocity(speed_m_s, left_m_s).encode()
         )
 
 

@@ -28,6 +28,7 @@ from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
+from hostlink.hub.robot_topic_publisher import twist_topic
 from hostlink.log_budget import Budget
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from hostlink.transport.base import READ_BYTES
@@ -46,7 +47,7 @@ class Ros1Driver:
         twist = CATALOG.message(TWIST_TYPE)
         assert twist is not None
         self._node = LocalNode(scene.hub, Ros1Config(master="http://master:1/"), "/hostlink", scene.tasks)
-        name = scene.hub.robots.find_here(ROBOT).shown.velocity
+        name = twist_topic(scene.hub.robots.find_here(ROBOT))
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
         self._connection = _PublisherConnection(self._node, topic, Budget(), is_new=True)
         transport = ApiTransport("10.0.0.9")
@@ -67,7 +68,7 @@ class Ros1Driver:
         return self._connection.participant
 
     def drive(self, robot: str, speed_m_s: float, hub: Hub, *, left_m_s: float = 0.0) -> None:
-        assert hub.robots.find_here(robot).shown.velocity == self._connection._topic.name
+        assert twist_topic(hub.robots.find_here(robot)) == self._connection._topic.name
         before = self._node.counts.refused_messages
         self.flood.send(encode_message(PlanarVelocity(speed_m_s, left_m_s).encode()))
         if self._node.counts.refused_messages > before:

@@ -5,7 +5,7 @@ import contextlib
 import itertools
 import json
 import struct
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -26,6 +26,7 @@ from hostlink.hub.queue import Queue
 from hostlink.hub.robots import Robots
 from hostlink.hub.subscription import Subscription
 from hostlink.messages.message_type import ServiceType
+from hostlink.protocol.control import TopicInfo
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.memory_hub import running
@@ -379,12 +380,13 @@ class Scene:
     and itself must be there at the end.
     """
 
-    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
+    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup, infos: Sequence[TopicInfo] = ()) -> None:
         self.hub, self.tasks = hub, tasks
+        self.infos = list(infos) or robot_topics(ROBOT)  # of the robot
         self.neighbour_heard: list[bytes] = []
 
     async def begin(self) -> None:
-        self.robot = ScriptedDevice(self.hub, robot_topics(ROBOT), address="10.0.0.1")
+        self.robot = ScriptedDevice(self.hub, self.infos, address="10.0.0.1")
         self.other = ScriptedDevice(self.hub, robot_topics(NEIGHBOUR), address="10.0.0.2")
         await asyncio.sleep(0.5)
         self.neighbour = self.hub.join("neighbour")
@@ -432,19 +434,21 @@ class Scene:
 
 
 @contextlib.asynccontextmanager
-async def scene() -> AsyncIterator[Scene]:
+async def scene(config: Config | None = None, infos: Sequence[TopicInfo] = ()) -> AsyncIterator[Scene]:
     with capture_logs():
-        hub = Hub(Config(), CATALOG)
+        hub = Hub(Config() if config is None else config, CATALOG)
         async with running(hub) as tasks:
-            made = Scene(hub, tasks)
+            made = Scene(hub, tasks, infos)
             await made.begin()
             yield made
             await made.neighbour_works()
 
 
-def play(test: Callable[[Scene], Awaitable[None]]) -> None:
+def play(
+    test: Callable[[Scene], Awaitable[None]], config: Config | None = None, infos: Sequence[TopicInfo] = ()
+) -> None:
     async def run() -> None:
-        async with scene() as made:
+        async with scene(config, infos) as made:
             await test(made)
 
     run_virtual(run())

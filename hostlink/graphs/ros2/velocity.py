@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from hostlink.client import Host
 from hostlink.client.connection import waits
-from hostlink.errors import HostlinkError
+from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.graphs.ros2.plan import VelocityInput
 from hostlink.log_budget import Budget
 from hostlink.robot.admission import LEASE_S, EarlierMotion
@@ -217,7 +217,8 @@ class _Owner:
             if twist.planar.is_finite:
                 self.interrupt()  # the daemon does not know yet of what motion the next one is
         else:
-            if robot.refusal is not None:
+            is_at_rest = twist.is_zero and robot.refusal is not None and robot.refusal.kind == RefusalKind.HELD
+            if robot.refusal is not None and not is_at_rest:  # a joystick at rest publishes zeros
                 self._explain(waiting.robot, robot.refusal.kind, robot.refusal.reason)
 
     def _explain(self, robot: str, kind: str, reason: str) -> None:

@@ -269,7 +269,7 @@ async def test_owner_is_the_same_until_its_token_is_revoked() -> None:
         (b'{"linear": 0.2, "angular": 0.5, "priorty": 7}', "unknown field `priorty`; did you mean `priority`?"),
         (
             b'{"linear": 0.2, "angular": 0.5, "colour": 7}',
-            "unknown field `colour`; its fields: linear, angular, priority, epoch",
+            "unknown field `colour`; its fields: linear, angular, priority, epoch, take_over",
         ),
     ],
 )
@@ -326,3 +326,14 @@ def test_unknown_field_of_a_drive_is_refused_as_one_of_a_body(fields: dict[str, 
     with pytest.raises(BadRequest) as caught:
         convert_velocity(drive | fields, DriveOperation, "drive")
     assert str(caught.value) == problem
+
+
+def test_odometry_of_nan_alone_is_answered_with_their_number() -> None:
+    async def test(api: RestMemory) -> None:
+        for _ in range(10):
+            await api.move_to(float("nan"), 0.0, 0.0)
+        status, body = await api.call("GET", "/api/robots/robot_0/odometry")
+        assert status == 503
+        assert body["error"]["reason"] == "robot_0: it sent 10 poses with NaN or infinity in the last 30 s"
+
+    check(test)

@@ -161,8 +161,7 @@ def test_revoked_token_ends_its_web_socket_and_stops_what_it_drives(check: Calla
         peer = await api.web_socket("/?token=a-token-that-drives")
         reader = await api.web_socket("/?token=a-token-that-reads")
         await api.request("PUT", VELOCITY, FAST, Authorization="Bearer a-token-that-drives")
-        await api.request("PUT", VELOCITY, b'{"linear": 0}', Authorization="Bearer a-token-that-drives")  # lets go
-        peer.send_text(op="drive", id="1", robot="robot_0", linear=0.2, angular=0.0)
+        peer.send_text(op="drive", id="1", robot="robot_0", linear=0.2, angular=0.0, take_over=True)
         await asyncio.sleep(0.05)
         assert speeds(api)[-1] == (0.2, 0.0)
         api.server._prepare_access(Config(api=ApiConfig(tokens=TOKENS[1:])))()

@@ -79,7 +79,7 @@ def test_invalid_velocity_is_never_replaced(fields: dict[str, Any]) -> None:
 
 def test_drive_is_a_velocity_of_its_robot() -> None:
     drive = {"op": "drive", "robot": "/robot_0", "linear": 0, "angular": 0.0}
-    of = VelocityOf("drive", "robot_0", (50, None, None, None, False, False, True))
+    of = VelocityOf("drive", "robot_0", (50, None, None, None, False, False, True, False))
     assert velocity_of_request(read(drive), topics()) == (of, True)
     assert velocity_of_request(read(drive | {"linear": 0.1}), topics()) == (of, False)
     assert not velocity_of_request(read(drive | {"is_planar": False}), topics())[1]
@@ -89,6 +89,7 @@ def test_drive_is_a_velocity_of_its_robot() -> None:
     "terms",
     [
         {"priority": 60},
+        {"take_over": True},
         {"epoch": 1},
         {"stops": 1},
         {"link": 1},

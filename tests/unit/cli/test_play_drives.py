@@ -63,7 +63,8 @@ class SlowRobot:
     def __init__(self) -> None:
         self.sent: list[tuple[float, float]] = []  # time and speed
 
-    async def drive(self, linear_m_s: float, *_: float) -> None:
+    async def drive(self, linear_m_s: float, *_: float, take_over: bool) -> None:
+        assert not take_over
         self.sent.append((asyncio.get_running_loop().time(), linear_m_s))
         await asyncio.sleep(0.01)
 

@@ -1,13 +1,22 @@
 """`hostlink stop`, `lock` and `unlock` of several robots, and of all."""
 
 import asyncio
+import json
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, cast
 
 import pytest
+import typer
 
 from hostlink.cli.robots import _halt, _lock, _stop, _unlock
-from hostlink.client import Host, Robot, Standstill, StandstillState
-from hostlink.errors import HostlinkError
+from hostlink.client import Host, Robot, Standstill, StandstillState, Stopped
+from hostlink.errors import CommandRefused, HostlinkError
+from hostlink.protocol.frame import Id
+from tests.support.background import cancelling
+from tests.support.fake_device import topic
+from tests.support.memory_client import memory_host
+from tests.support.memory_hub import SETTLED_S, MemoryHub, in_hub
+from tests.support.participants import publish
 
 STOPPED = Standstill(StandstillState.STOPPED, 0.0, 0.0, 0.0)
 
@@ -25,9 +34,21 @@ class _Host:
     def robot(self, name: str) -> Any:
         return _Robot(self, name)
 
-    async def stop_all(self) -> dict[str, Standstill]:
+    async def stop_all(self) -> Stopped:
         self.asked.append("stop all")
-        return await self.standstill()
+        return Stopped(await self.standstill())
+
+    async def lock_all(self, reason: str) -> Stopped:
+        self.asked.append(f"lock all: {reason}")
+        return Stopped(await self.standstill())
+
+    async def unlock_all(self) -> list[dict[str, Any]]:
+        self.asked.append("unlock all")
+        return await self.robots()
+
+    async def get(self, path: str) -> dict[str, Any]:
+        assert path == "/api/devices"
+        return {"devices": [], "lock_reason": None}
 
     async def standstill(self) -> dict[str, Standstill]:
         return dict.fromkeys(self.names, STOPPED)
@@ -84,9 +105,8 @@ async def test_the_word_all_stops_locks_and_unlocks_every_robot(names: list[str]
     await _stop(host, names, json=False)
     assert made.asked == ["stop all"]
     await _lock(host, names, "a foot", json=False)
-    assert halted == ["lock far", "lock near"]
     await _unlock(host, names, everything=not names)
-    assert made.asked[1:] == ["unlock far", "unlock near"]
+    assert (halted, made.asked) == ([], ["stop all", "lock all: a foot", "unlock all"])
 
 
 async def test_a_robot_that_is_named_all_keeps_its_name(halted: list[str]) -> None:
@@ -108,3 +128,138 @@ async def test_the_refusal_of_an_unknown_robot_names_the_command_for_every_robot
             await done
         assert str(found.value).endswith(wanted)
     assert halted == []
+
+
+# -- robots and boards of a hub ---------------------------------------------------------------------------------------
+
+MOTOR = topic(Id.SUBSCRIBER, 110, "/left_motor", "std_msgs/Int16")
+WORD = topic(Id.SUBSCRIBER, 111, "/motor_command", "std_msgs/String")
+CAR = topic(Id.SUBSCRIBER, 100, "/car/cmd_vel", "geometry_msgs/Twist")  # of a robot without odometry
+SENT = " of link 2 (10.0.0.3)"
+
+
+def in_daemon(test: Callable[[MemoryHub, Host], Awaitable[None]]) -> None:
+    """Run a test with a connection of the client to a hub."""
+
+    async def run(made: MemoryHub) -> None:
+        async with cancelling() as tasks, memory_host(made.hub, tasks) as host:
+            await test(made, host)
+
+    in_hub(run)
+
+
+def outcome(work: Coroutine[Any, Any, None], capsys: pytest.CaptureFixture[str]) -> Awaitable[tuple[int, list[str]]]:
+    """Return the exit status of a command, and what it wrote."""
+
+    async def run() -> tuple[int, list[str]]:
+        status = 0
+        try:
+            await work
+        except typer.Exit as end:
+            status = end.exit_code
+        return status, capsys.readouterr().out.splitlines()
+
+    return run()
+
+
+def test_lock_of_all_holds_for_a_robot_and_a_board_without_one(capsys: pytest.CaptureFixture[str]) -> None:
+    async def test(made: MemoryHub, host: Host) -> None:
+        await made.connect([CAR])
+        board = await made.connect([MOTOR], address="10.0.0.3")
+        assert await outcome(_lock(host, [], "a foot", json=False), capsys) == (
+            0,
+            [
+                "car is locked: a foot",
+                "zero sent; car has no odometry, so nobody can say that it is stopped",
+                f"/left_motor{SENT} is locked: a foot; zero sent",
+            ],
+        )
+        await asyncio.sleep(SETTLED_S)
+        assert board.payloads(110) == [bytes(2)]
+        with pytest.raises(CommandRefused, match="/left_motor: locked: a foot"):
+            publish(made.hub, "/left_motor", {"data": 50}, type_name="std_msgs/Int16")
+        assert await outcome(_unlock(host, [], everything=False), capsys) == (
+            0,
+            ["car may be driven", "boards that are not robots may be driven"],
+        )
+        publish(made.hub, "/left_motor", {"data": 50}, type_name="std_msgs/Int16")
+
+    in_daemon(test)
+
+
+def test_lock_of_all_names_a_topic_without_a_zero_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    async def test(made: MemoryHub, host: Host) -> None:
+        await made.connect()
+        await made.connect([WORD], address="10.0.0.3")
+        status, lines = await outcome(_lock(host, [], "a foot", json=False), capsys)
+        assert (status, lines[-1]) == (
+            1,
+            f"/motor_command{SENT} is locked: a foot; was not sent a zero: std_msgs/String has no value that surely "
+            "means stop; `hostlink robots --explain` shows the setting that makes a robot of it",
+        )
+
+    in_daemon(test)
+
+
+def test_lock_of_one_robot_names_what_else_its_board_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    async def test(made: MemoryHub, host: Host) -> None:
+        await made.connect([CAR, WORD])
+        await made.connect([MOTOR], address="10.0.0.3")
+        status, lines = await outcome(_lock(host, ["car"], "a foot", json=False), capsys)
+        assert status == 1
+        assert lines[-1].startswith("/motor_command of link 1 (10.0.0.2) is locked: a foot; was not sent a zero")
+
+    in_daemon(test)
+
+
+def test_stop_of_a_board_without_any_robot_is_sent_and_not_confirmed(capsys: pytest.CaptureFixture[str]) -> None:
+    async def test(made: MemoryHub, host: Host) -> None:
+        board = await made.connect([MOTOR], address="10.0.0.3")
+        sent = "/left_motor of link 1 (10.0.0.3): zero sent"
+        assert await outcome(_stop(host, [], json=False), capsys) == (
+            1,
+            [f"{sent}; it is not a robot's, so nobody can say that it is stopped"],
+        )
+        await asyncio.sleep(SETTLED_S)
+        assert (await outcome(_stop(host, [], is_measured=False, json=False), capsys))[0] == 0
+        await asyncio.sleep(SETTLED_S)
+        assert board.payloads(110) == [bytes(2)] * 2
+
+    in_daemon(test)
+
+
+def test_stop_of_a_robot_without_odometry_needs_no_measure_for_success(capsys: pytest.CaptureFixture[str]) -> None:
+    async def test(made: MemoryHub, host: Host) -> None:
+        await made.connect([CAR])
+        told = "zero sent; car has no odometry, so nobody can say that it is stopped"
+        for names in ([], ["car"]):
+            assert await outcome(_stop(host, names, json=False), capsys) == (1, [told])
+            assert await outcome(_stop(host, names, is_measured=False, json=False), capsys) == (0, ["car: zero sent"])
+
+    in_daemon(test)
+
+
+def test_stop_of_all_without_measure_fails_for_a_topic_without_a_zero(capsys: pytest.CaptureFixture[str]) -> None:
+    async def test(made: MemoryHub, host: Host) -> None:
+        await made.connect([CAR, WORD])
+        status, lines = await outcome(_stop(host, [], is_measured=False, json=True), capsys)
+        robot, endpoint = json.loads(lines[0])
+        assert (status, robot["name"], endpoint["topic"], endpoint["is_zero_sent"]) == (
+            1, "car", "/motor_command", False,
+        )  # fmt: skip
+
+    in_daemon(test)
+
+
+def test_unlock_of_boards_alone_needs_no_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    async def test(made: MemoryHub, host: Host) -> None:
+        await made.connect([MOTOR], address="10.0.0.3")
+        await outcome(_lock(host, [], "a foot", json=False), capsys)
+        assert await outcome(_unlock(host, [], everything=True), capsys) == (
+            0,
+            ["boards that are not robots may be driven"],
+        )
+        with pytest.raises(HostlinkError, match="no robot has connected yet"):
+            await _unlock(host, [], everything=True)
+
+    in_daemon(test)

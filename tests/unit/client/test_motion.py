@@ -11,10 +11,14 @@ import pytest
 from hostlink.client import Motion, MotionOutcome, Progress, Robot
 from hostlink.client.driver import VelocitySender
 from hostlink.client.motion import Begin, CoursePilot, Fix, follow, line, turn
-from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
+from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind
+from hostlink.protocol.frame import Id
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.velocity import PlanarVelocity, Twist
+from tests.support.background import cancelling
+from tests.support.fake_device import topic
 from tests.support.memory_client import MemoryHost, memory_host
+from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, VELOCITY_ID, Scene, scene
 from tests.support.virtual_loop import inside, run_virtual
 from tests.support.waiting import expect
@@ -558,3 +562,16 @@ async def test_end_of_all_motions_ends_one_that_has_not_commanded_and_no_later_o
     assert (await waiting).kind == "program"
     assert here.is_zero
     assert (await here.robot.move(0.2)).is_reached
+
+
+@pytest.mark.parametrize("way", ["move", "turn"])
+def test_motion_of_a_robot_without_a_pose_is_refused_at_once(way: str) -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect([topic(Id.SUBSCRIBER, 100, "/car/cmd_vel", "geometry_msgs/Twist")])
+        async with cancelling() as tasks, memory_host(made.hub, tasks) as host:
+            began_s, before = made.now_s, len(device.payloads(100))
+            with pytest.raises(BadRequest, match="car has no odometry, so that no distance"):
+                await getattr(host.robot("car"), way)(1.0)
+            assert (made.now_s, len(device.payloads(100))) == (began_s, before)
+
+    in_hub(test)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from hostlink.diagnosis.evidence import Tally
 from hostlink.diagnosis.motion_monitor import NO_MOTION, OPPOSITE_S, RECENT_S, STILL_S, MotionMonitor, Speed
 from hostlink.diagnosis.rules import diagnose
 from tests.unit.diagnosis.test_rules import HEALTHY, replace
@@ -137,3 +138,24 @@ def test_commands_that_change_are_not_judged() -> None:
         sign = 1 if number // 10 % 2 else -1
         monitor.compare(Speed(0.3 * sign, 0.0), Speed(-0.3 * sign, 0.0), number * 0.1)
     assert found(monitor, 20.0) == {}
+
+
+def with_line(bytes_s: float, *, baud: int | None = 38400, age_s: float = 60.0) -> dict[str, str]:
+    recent = Tally(bytes_from_device=round(30 * bytes_s), frames=100)
+    return found(monitored((), 150), recent=recent, baud=baud, age_s=age_s)
+
+
+def test_line_without_room_is_a_finding_with_the_rate_of_the_odometry() -> None:
+    detail = "3744 of 3840 bytes/s at 38400 baud; /odom has 5.0 messages/s"
+    assert with_line(3744.0) == {"line_full": detail}
+
+
+@pytest.mark.parametrize(
+    ("bytes_s", "baud", "age_s"), [(3500.0, 38400, 60.0), (3744.0, None, 60.0), (3744.0, 38400, 20.0)]
+)
+def test_line_with_room_or_of_unknown_rate_has_no_finding(bytes_s: float, baud: int | None, age_s: float) -> None:
+    assert with_line(bytes_s, baud=baud, age_s=age_s) == {}
+
+
+def test_usb_port_that_is_faster_than_its_baud_rate_has_no_finding() -> None:
+    assert with_line(9000.0) == {}

@@ -110,7 +110,11 @@ CASES = [
     ("clock_trouble", replace(HEALTHY, host_clock="its clock is not set"), "this computer: its clock is not set"),
     ("damaged", replace(HEALTHY, recent=GOOD._replace(bad_checksums=3)), "3 bad checksums and 100 good frames"),
     ("too_many_robots", replace(HEALTHY, end="refused"), ""),
-    ("flashed_alike", replace(HEALTHY, numbered="robot_0 is another device's name"), "another device's name"),
+    (
+        "flashed_alike",
+        replace(HEALTHY, noted={"flashed_alike": "robot_0 is another device's name"}),
+        "another device's name",
+    ),
     ("host_fault", replace(HEALTHY, end="crashed"), ""),
     ("unanswerable", replace(HEALTHY, end="unanswerable"), ""),
 ]

@@ -12,7 +12,7 @@ from hostlink.errors import WrongType
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import robot_topics, topic
 from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, POSE, VELOCITY_ID, Scene, play, publish, subscribe
 from tests.support.scripted_device import ScriptedDevice
@@ -62,11 +62,11 @@ async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) 
     driver = made.hub.join("driver")
     driver.drive(robot, PlanarVelocity(0.1))
     await asyncio.sleep(0.1)
-    driver.drive(robot, ZERO)
+    driver.leave()
     publish(made.hub, VELOCITY, {"linear": {"x": 0.2}}, source="by topic")
     publish(made.hub, RESET, {}, source="by topic")
     await asyncio.sleep(0.1)
-    publish(made.hub, VELOCITY, {}, source="by topic")
+    publish(made.hub, VELOCITY, {}, source="by topic")  # it lets go
     speeds = [struct.unpack("<6d", payload)[0] for payload in device.payloads(VELOCITY_ID)]
     assert {0.1, 0.2} <= set(speeds)
     assert device.payloads(101)

@@ -88,7 +88,7 @@ async def test_an_older_velocity_does_not_overtake_the_one_that_it_caused(made: 
         shared = topic(Id.SUBSCRIBER, VELOCITY_ID, "/cmd_vel", "geometry_msgs/Twist")
         devices.append(ScriptedDevice(made.hub, [odometry, own, shared], address=address))
         await asyncio.sleep(0.5)
-    careful, sender = made.hub.join("careful"), made.hub.join("sender")
+    careful, sender = made.hub.join("careful", priority=60), made.hub.join("sender")
 
     def slow_down(message: Message) -> None:
         if struct.unpack_from("<d", message.payload)[0] == 0.8:

@@ -77,6 +77,8 @@ def test_every_stored_type_compiles_and_its_defaults_come_back(catalog: Catalog)
 @pytest.mark.parametrize(
     ("name", "md5"),
     [
+        ("ackermann_msgs/AckermannDrive", "3512e91b48d69674a0e86fadf1ea8231"),
+        ("ackermann_msgs/AckermannDriveStamped", "1fd5d7f58889cefd44d29f6653240d0c"),
         ("geometry_msgs/Pose2D", "938fa65709584ad8e77d238529be13b8"),
         ("geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a"),
         ("geometry_msgs/Vector3", "4a842b65f413084dc2b10fb484ea7f17"),

@@ -1,0 +1,83 @@
+"""Devices: for each connected one, whether it is a robot and why, by its topics and the settings."""
+
+from typing import TypedDict
+
+from hostlink.api.views import command_endpoint_view
+from hostlink.hub.device import Device
+from hostlink.hub.hub import Hub
+from hostlink.robot.model import Role, roles
+from hostlink.robot.views import CommandEndpointView
+
+
+class DeviceTopicView(TypedDict):
+    """A topic of a device that counts for what it is, by its name in the graph.
+
+    role: `command` of its robot, `velocity` (a further one, with a gate), `unguarded` (looks like a command, and
+    nothing guards it), `locked` (a lock refuses it by the settings), `ignored` (no command by the settings),
+    `actuator` (sets positions), or `feedback` (tells of the robot's motion).
+    """
+
+    name: str
+    type: str
+    role: str
+
+
+class DeviceView(TypedDict):
+    """Whether a connected device is a robot, and why.
+
+    robot: null: it is not a robot. name_from: source of its name. settings: the robot whose settings in hostlink.toml
+    apply to it; null: none. refused: why they do not fit the device; empty if they do. feedback: what is known of its
+    motion: pose, velocity, motion or none. lacks: what is missing to know more. suggestion: lines of hostlink.toml
+    that put the unguarded topics in order.
+    """
+
+    link: int
+    peer: str
+    robot: str | None
+    name_from: str
+    settings: str | None
+    refused: str
+    feedback: str
+    lacks: str
+    topics: list[DeviceTopicView]
+    unguarded: list[CommandEndpointView]
+    suggestion: str
+
+
+class DevicesView(TypedDict):
+    """Every connected device, oldest first. lock_reason: of a lock of all, which holds for boards too; null: none."""
+
+    devices: list[DeviceView]
+    lock_reason: str | None
+
+
+def devices_view(hub: Hub) -> DevicesView:
+    """Return every connected device that has announced its topics."""
+    devices = [device_view(hub, each) for each in hub.robots.devices.values() if each.infos]
+    return {"devices": devices, "lock_reason": hub.robots.boards.lock_reason}
+
+
+def device_view(hub: Hub, device: Device) -> DeviceView:
+    """Return whether one device is a robot, and why."""
+    robot, link, shown = device.robot, device.link, device.shown
+    commands = () if robot is None else [topic.name for topic in robot.topics.commands]
+    feedback = () if robot is None else [name for name, _ in robot.feedback.topics]
+    found = roles(device.endpoints, device.settings, commands=commands, guarded=device.guarded, feedback=feedback)
+    name_from, settings = hub.links.origin_of(device)
+    return {
+        "link": link.number,
+        "peer": link.peer,
+        "robot": None if robot is None else robot.name,
+        "name_from": name_from,
+        "settings": settings,
+        "refused": device.refused_settings,
+        "feedback": "none" if robot is None else robot.feedback.kind.value,
+        "lacks": "" if robot is None else robot.feedback.lacks,
+        "topics": [
+            {"name": shown.of(endpoint.name), "type": endpoint.type_name, "role": role.value}
+            for endpoint, role in found
+            if role is not Role.DATA
+        ],
+        "unguarded": [command_endpoint_view(each) for each in device.unguarded_endpoints()],
+        "suggestion": device.suggestion,
+    }

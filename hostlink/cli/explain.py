@@ -1,0 +1,67 @@
+"""Text of `hostlink robots --explain`, and of what a list of robots warns of. Pure."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+ROLES = {  # by the roles of a device's topics; commands and feedback have a sentence of their own
+    "velocity": "further velocity topics, with the robot's lease, limits and lock",
+    "unguarded": "topics that look like commands, and that nothing guards",
+    "locked": "topics that a lock refuses, by locked_topics",
+    "ignored": "topics that are not commands, by not_commands",
+    "actuator": "topics that set positions, without a lease",
+}
+KNOWN_BY = {"pose": "pose", "velocity": "velocity", "motion": "whether it moves", "none": "nothing: no odometry"}
+
+
+def explanation(devices: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return why each device is a robot or is not one."""
+    return [line for device in devices for line in _of_device(device)]
+
+
+def warnings(devices: Iterable[Mapping[str, Any]], lock_reason: str | None) -> list[str]:
+    """Return what a list of robots must not hide: topics that nothing guards, refused settings, a lock of all."""
+    lines = []
+    for device in devices:
+        place = _place(device)
+        if device["refused"]:
+            lines.append(
+                f"{place} is not {device['settings'] or 'a robot'}: its settings do not fit: {device['refused']}"
+            )
+        if device["unguarded"]:
+            topics = ", ".join(each["topic"] for each in device["unguarded"])
+            lines.append(f"nothing guards {topics} of {place}; in hostlink.toml:")
+            lines += [f"  {line}" for line in device["suggestion"].splitlines()]
+    if lock_reason is not None:
+        lines.append(f"everything that connects is locked: {lock_reason}; `hostlink unlock --all` ends it")
+    return lines
+
+
+def _place(device: Mapping[str, Any]) -> str:
+    return f"link {device['link']} ({device['peer']})"
+
+
+def _of_device(device: Mapping[str, Any]) -> Iterator[str]:
+    named: dict[str, list[str]] = {}
+    for topic in device["topics"]:
+        named.setdefault(topic["role"], []).append(f"{topic['name']} ({topic['type']})")
+    place, commands = _place(device), ", ".join(named.get("command", ()))
+    if device["robot"] is not None:
+        yield f"{place} is the robot {device['robot']}: it takes velocities on {commands}"
+        yield f"  its name: {device['name_from']}"
+        known = KNOWN_BY.get(device["feedback"], device["feedback"])
+        topics, lacks = ", ".join(named.get("feedback", ())), device["lacks"]
+        yield f"  its motion is known by {known}{topics and f', from {topics}'}{lacks and f'; it lacks {lacks}'}"
+    elif device["refused"]:
+        yield f"{place} is not a robot: the settings do not fit its topics: {device['refused']}"
+    elif named.get("velocity"):
+        yield f"{place} is not a robot by its settings; its velocity topics have a lease and a lock, and no limits"
+    else:
+        yield f"{place} is not a robot: none of its topics takes a velocity by its type and name, or by the settings"
+    for role, text in ROLES.items():
+        if role in named:
+            yield f"  {text}: {', '.join(named[role])}"
+    if device["settings"] is not None:
+        yield f"  settings: [robots.{device['settings']}] in hostlink.toml"
+    if device["suggestion"]:
+        yield "  to change that, put these lines into hostlink.toml, and run `hostlink reload`:"
+        yield from (f"    {line}" for line in device["suggestion"].splitlines())

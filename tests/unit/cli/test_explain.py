@@ -1,0 +1,109 @@
+"""`hostlink robots`: how a robot is known, what nothing guards, and why a device is a robot or not."""
+
+import json
+import tomllib
+from collections.abc import Sequence
+
+import pytest
+
+from hostlink.cli.robots import _robots
+from hostlink.client import Host
+from hostlink.config import Config, RobotConfig, WheelsConfig
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import Id
+from tests.support.background import cancelling
+from tests.support.fake_device import robot_topics, topic
+from tests.support.memory_client import memory_host
+from tests.support.memory_hub import MemoryHub, in_hub
+
+MOTORS = [topic(Id.SUBSCRIBER, 110 + each, f"/{side}_motor", "std_msgs/Int16") for each, side in enumerate("lr")]
+CAR = topic(Id.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")
+ARM = topic(Id.SUBSCRIBER, 120, "/arm", "sensor_msgs/JointState")
+
+
+def shown(
+    *boards: Sequence[TopicInfo],
+    capsys: pytest.CaptureFixture[str],
+    is_explained: bool = True,
+    as_json: bool = False,
+    config: Config | None = None,
+) -> tuple[str, str]:
+    """Return what `hostlink robots` writes of these boards, on standard output and standard error."""
+
+    async def test(made: MemoryHub) -> None:
+        for number, infos in enumerate(boards):
+            await made.connect(infos, address=f"10.0.0.{number + 2}")
+        async with cancelling() as tasks, memory_host(made.hub, tasks) as connected:
+            host: Host = connected
+            await _robots(host, is_explained=is_explained, json=as_json)
+
+    in_hub(test, config)
+    captured = capsys.readouterr()
+    return captured.out, captured.err
+
+
+def test_list_has_the_command_and_how_the_motion_is_known(capsys: pytest.CaptureFixture[str]) -> None:
+    out, err = shown(robot_topics(), [CAR], capsys=capsys, is_explained=False)
+    head, car, robot = sorted(out.splitlines(), key=lambda line: "robot  " not in line)
+    assert head.split("age s")[1].split() == ["command", "knows", "its", "motion", "by"]
+    assert {tuple(line.split()[-2:]) for line in (car, robot)} == {("no", "odometry"), ("Twist", "pose")}
+    assert err == ""
+
+
+def test_list_warns_of_what_nothing_guards_with_lines_to_copy(capsys: pytest.CaptureFixture[str]) -> None:
+    out, err = shown(MOTORS, capsys=capsys, is_explained=False)
+    assert out == ""
+    first, second, *lines = err.splitlines()
+    assert first == "no robot has connected, but 1 device; `hostlink robots --explain` says why"
+    assert second == "nothing guards /l_motor, /r_motor of link 1 (10.0.0.2); in hostlink.toml:"
+    (name, settings), *_ = tomllib.loads("\n".join(lines))["robots"].items()
+    assert (name, settings["address"]) == ("my_robot", "10.0.0.2")
+    assert settings["wheels"]["topics"] == ["/l_motor", "/r_motor"]
+
+
+def test_robot_is_explained_by_its_command_name_and_feedback(capsys: pytest.CaptureFixture[str]) -> None:
+    out, _ = shown(robot_topics(), capsys=capsys)
+    assert out.splitlines() == [
+        "link 1 (10.0.0.2) is the robot robot_0: it takes velocities on /robot_0/velocity_commands "
+        "(geometry_msgs/Twist)",
+        "  its name: the namespace of its command /robot_0/velocity_commands",
+        "  its motion is known by pose, from /robot_0/odometry (geometry_msgs/Pose2D)",
+    ]
+
+
+def test_robot_without_a_name_and_odometry_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    out, _ = shown([CAR, ARM, *MOTORS[:1]], capsys=capsys)
+    assert out.splitlines()[1:] == [
+        "  its name: a number, which is kept for 10.0.0.2: its command cmd_vel tells no name",
+        "  its motion is known by nothing: no odometry",
+        "  topics that look like commands, and that nothing guards: /l_motor (std_msgs/Int16)",
+        "  topics that set positions, without a lease: /arm (sensor_msgs/JointState)",
+        "  to change that, put these lines into hostlink.toml, and run `hostlink reload`:",
+        "    [robots.robot_0]",
+        '    locked_topics = ["/l_motor"]',
+    ]
+
+
+def test_settings_that_apply_or_do_not_fit_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    wheels = WheelsConfig(topics=("/l_motor", "/r_motor"), unit="rad_s")
+    car = RobotConfig(wheels=wheels, wheel_radius_m=0.03)
+    out, _ = shown(MOTORS, capsys=capsys, config=Config(robots={"car": car}))
+    assert "  its name: [robots.car] in hostlink.toml" in out.splitlines()
+    assert "  settings: [robots.car] in hostlink.toml" in out.splitlines()
+    broken = Config(robots={"car": RobotConfig(wheels=wheels)})
+    out, _ = shown(MOTORS, capsys=capsys, config=broken)
+    assert out.startswith("link 1 (10.0.0.2) is not a robot: the settings do not fit its topics: ")
+    assert "needs wheel_radius_m" in out
+    _, err = shown(MOTORS, capsys=capsys, config=broken, is_explained=False)
+    assert "link 1 (10.0.0.2) is not car: its settings do not fit: " in err
+
+
+def test_explanation_as_json_is_the_answer_of_the_daemon(capsys: pytest.CaptureFixture[str]) -> None:
+    out, _ = shown(MOTORS, capsys=capsys, as_json=True)
+    (device,) = json.loads(out)["devices"]
+    assert (device["robot"], device["link"], [each["role"] for each in device["topics"]]) == (
+        None,
+        1,
+        ["unguarded"] * 2,
+    )
+    assert [each["topic"] for each in device["unguarded"]] == ["/l_motor", "/r_motor"]
