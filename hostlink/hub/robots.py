@@ -394,9 +394,11 @@ class Robots:
         robot.parts, robot.feedback_links = parts, links
 
     def _note_missing(self, robot: LocalRobot, why_not: str) -> None:
-        if why_not != robot.admission.missing:
-            event = "robot.incomplete" if why_not else "robot.complete"
-            (log.warning if why_not else log.info)(event, robot=robot.name, reason=why_not)
+        before = robot.admission.missing
+        if why_not and why_not != before:
+            log.warning("robot.incomplete", robot=robot.name, reason=why_not)
+        elif before and not why_not:
+            log.info("robot.complete", robot=robot.name)
         self._gates.note_missing([each for each in robot.beside if each.admission is robot.admission], why_not)
 
     def _read_parts(self, robot: LocalRobot, parts: Parts, members: dict[str, Device]) -> None:
