@@ -17,9 +17,9 @@ class Membership(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a robot of several devices is made of, by entries of its `devices`.
+    """Composition of a robot of several devices, by entries of its `devices`.
 
-    `why_not`: why it cannot be driven, as a text; empty: it can be. `feedback`: where each topic is read, the first
+    `why_not`: reason for which it is not driven; empty if it can be. `feedback`: where each topic is read, the first
     device of a topic before others that send it, too.
     """
 

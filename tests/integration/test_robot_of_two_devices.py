@@ -45,7 +45,7 @@ def odometry(x: float) -> bytes:
 
 
 @pytest.mark.parametrize("first", [MOTORS, WHEELS])
-def test_command_goes_to_one_board_and_odometry_comes_from_the_other(first: str) -> None:
+def test_robot_is_commanded_on_one_board_and_measured_by_the_other(first: str) -> None:
     async def test(made: MemoryHub) -> None:
         motors, wheels = await connected(made, first=first)
         await wheels.send(125, odometry(1.5))
