@@ -306,11 +306,16 @@ MAX_JOY = 64  # axes and buttons of a Joy
 MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
 
 
+MAX_DEVICES = 8  # of one robot
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotConfig:
     """Device and limits of one robot. The limits apply to every source of commands."""
 
     address: str | None = None  # peer address or serial port of its device
+    devices: tuple[str, ...] = ()  # instead of an address: its devices, for example motors on one, encoders on another
+    command_device: str | None = None  # the one of its devices that is commanded, if several take a velocity
     uart_bytes_s: int | None = None
     # The drive (robot/kinematics): it refuses velocities that it cannot have. "": planar, which takes every velocity.
     # "spatial": all six numbers of a Twist pass; it is not a robot of the plane, but it is stopped and locked.
@@ -358,6 +363,12 @@ class RobotConfig:
         given = [name for name, each in ways.items() if each is not None]
         if len(given) > 1:
             raise ValueError(f"{given[0]} and {given[1]} are two ways to command one robot: choose one")
+        if self.address is not None and self.devices:
+            raise ValueError("address and devices are two ways to say where the robot is: choose one")
+        if len(set(self.devices)) < len(self.devices) or len(self.devices) > MAX_DEVICES:
+            raise ValueError(f"devices must be at most {MAX_DEVICES} different addresses, ports or names")
+        if self.command_device is not None and self.command_device not in self.devices:
+            raise ValueError(f"command_device {self.command_device!r} must be one of the devices")
         if self.encoders is not None and self.feedback.topic is not None:
             raise ValueError("set either encoders or feedback.topic: a robot's motion is known by one of them")
         if not 0 <= self.resume_after_reconnect_s <= MAX_RESUME_S:

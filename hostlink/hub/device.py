@@ -39,6 +39,7 @@ from hostlink.robot.model import (
     unguarded,
 )
 from hostlink.robot.names import Presence
+from hostlink.robot.parts import Membership
 from hostlink.robot.state import BATTERY_TYPE
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
@@ -147,9 +148,9 @@ class Device:
     """
 
     __slots__ = (
-        "_awaited", "_hub", "_lockable", "_observers", "_odometry", "diagnosis", "drivables", "early", "infos",
-        "is_undecided", "link", "lost", "names", "parameters", "presence", "refused_settings", "robot", "routes",
-        "services", "settings", "shown", "stop_frames", "unguarded",
+        "_awaited", "_hub", "_lockable", "_observers", "_odometry", "_reader", "diagnosis", "drivables", "early",
+        "infos", "is_undecided", "link", "lost", "member", "names", "parameters", "presence", "refused_settings",
+        "robot", "routes", "services", "settings", "shown", "stop_frames", "unguarded",
     )  # fmt: skip
 
     def __init__(self, link: Link, diagnosis: Diagnosis, presence: Presence, hub: "Hub") -> None:
@@ -161,6 +162,7 @@ class Device:
         self.stop_frames: list[bytes] = []  # frames that the guardian sends to stop it; set by Gates
         self.lost: dict[str, LostEndpoint] = {}  # velocity endpoints that an announcement gave up; set by Gates
         self.settings = NO_SETTINGS  # of its robot's command
+        self.member: Membership | None = None  # of a robot of several devices
         self.refused_settings = ""  # why they do not fit the device
         self.unguarded: tuple[TopicInfo, ...] = ()  # look like commands of a motion, and have no gate
         self._lockable: frozenset[str] = frozenset()  # own names of topics without a gate that a lock refuses
@@ -175,6 +177,7 @@ class Device:
         self._observers: dict[int, Callable[[bytes], None]] = {}  # readers of the hub itself, by id
         self._awaited: dict[str, None] = {}  # services that may still answer a call from before the last `leave`
         self._odometry: list[tuple[Topic, int]] = []  # where the robot reads its pose, and as which subscriber
+        self._reader: LocalRobot | None = None  # robot of several devices that reads this one
         self._hub = hub
 
     def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: LocalRobot | None = None) -> None:
@@ -209,10 +212,11 @@ class Device:
             drivable.echoes.pop(name, None)
         self._hub.topics.unadvertise(name, self.link)
         self._hub.topics.unsubscribe_device(name, self.link)
-        if robot is not None and name in {self.shown.of(own) for own, _ in robot.feedback.topics}:
+        reader = robot or self._reader
+        if reader is not None and name in {self.shown.of(own) for own, _ in reader.feedback.topics}:
             self._end_odometry()
             for info in self.infos:
-                self._route_refused(info, robot)
+                self._route_refused(info, reader)
 
     def receive(self, message: MessageReceived, read: tuple[float, float] | None = None) -> None:
         """Publish a message of the device. `read` is when it was read and may have arrived; None: with the last read.
@@ -235,6 +239,20 @@ class Device:
     def sent_topics(self) -> list[TopicType]:
         """Topics that the device sends, by its own names."""
         return [TopicType(info.name, info.type) for info in self.infos if info.kind is Id.PUBLISHER]
+
+    def read_for(self, robot: LocalRobot | None) -> None:
+        """Read the topics of a robot's feedback that come from this device, one of several of the robot's."""
+        self._end_odometry()
+        self._reader = robot
+        if robot is None:
+            return
+        for info in self.infos:
+            if info.kind is Id.PUBLISHER and self._reads(info, robot):
+                topic = self.routes.get(info.topic_id)
+                if topic is None:
+                    self._route_refused(info, robot)
+                else:
+                    self._subscribe_robot(info.name, topic, robot)
 
     def announced_again(self) -> None:
         """Send latched messages again: a board that announces the same topics may have restarted."""
@@ -276,7 +294,15 @@ class Device:
     @property
     def lock(self) -> Admission:
         """Admission whose lock holds for its topics without a gate: the robot's, or that of all boards without one."""
-        return self._hub.robots.boards if self.robot is None else self.robot.admission
+        robot = self._robot
+        return self._hub.robots.boards if robot is None else robot.admission
+
+    @property
+    def _robot(self) -> LocalRobot | None:
+        """The robot that it is, or of which it is a part."""
+        if self.robot is not None or self.member is None:
+            return self.robot
+        return self._hub.robots.get_here(self.member.robot)
 
     @property
     def suggestion(self) -> str:
@@ -284,8 +310,10 @@ class Device:
         suspects = [Endpoint(info.name, info.type, info.is_to_device) for info in self.unguarded]
         if not suspects:
             return ""
-        if self.robot is not None:
-            return suggestion(suspects, self.robot.name, self.link.address, is_robot=True)
+        part_of = None if self.member is None else self.member.robot
+        known = part_of if self.robot is None else self.robot.name
+        if known is not None:
+            return suggestion(suspects, known, self.link.address, is_robot=True)
         name = name_of(suspects[0].name) or "my_robot"
         return suggestion(suspects, name, self.link.address)
 
@@ -345,7 +373,7 @@ class Device:
     def _endpoint(
         self, topic: str, type_name: str, admission: Admission, reason: str, *, is_guarded: bool = False
     ) -> CommandEndpoint:
-        robot, is_locked = self.robot, admission.lock_reason is not None
+        robot, is_locked = self._robot, admission.lock_reason is not None
         name = None if robot is None else robot.name
         return CommandEndpoint(self.link.number, self.link.peer, name, topic, type_name, is_guarded, is_locked, reason)
 
@@ -357,6 +385,7 @@ class Device:
     def leave(self) -> None:
         """Remove everything of this device from the graph."""
         self._end_odometry()
+        self._reader = None
         self.routes.clear()
         self._observers.clear()
         self.names = frozenset()
@@ -388,15 +417,21 @@ class Device:
             self._observers[info.topic_id] = partial(self._observe_battery, robot)
         elif topic.type is not None and topic.type.fields[:1] == (_HEADER,):
             self._observers[info.topic_id] = self._observe_stamp
-        if robot is not None and (info.name, info.type) in robot.feedback.topics:
+        if robot is not None and self._reads(info, robot):
             self._subscribe_robot(info.name, topic, robot)
 
     def _route_refused(self, info: TopicInfo, robot: LocalRobot | None) -> None:
         """Route a robot's odometry even if the graph has another type by this name."""
-        if robot is not None and info.kind is Id.PUBLISHER and (info.name, info.type) in robot.feedback.topics:
+        if robot is not None and info.kind is Id.PUBLISHER and self._reads(info, robot):
             topic = Topic(self.shown.of(info.name))
             topic.type, topic.type_name = self._hub.catalog.message(info.type), info.type
             self._route(info, topic, robot)
+
+    def _reads(self, info: TopicInfo, robot: LocalRobot) -> bool:
+        """Whether a robot reads this topic from this device."""
+        key = info.name, info.type
+        is_here = robot.feedback_links is None or robot.feedback_links.get(key) is self.link
+        return is_here and key in robot.feedback.topics
 
     def _subscribe_robot(self, own_name: str, topic: Topic, robot: LocalRobot) -> None:
         receive, fail = partial(robot.receive_feedback, own_name), partial(self._crash, robot)
@@ -460,9 +495,19 @@ class Device:
     def _drivable(self, info: TopicInfo, robot: LocalRobot | None) -> Drivable:
         """Create the gate of a further velocity topic of a robot, or of a device that is not identified.
 
-        The first has the robot's limits and lock. The second has no limits: its six numbers stay as they are.
+        The first has the robot's limits and lock. The second has no limits: its six numbers stay as they are. A device
+        that is a part of a robot has the robot's limits, and is stopped and locked with it.
         """
         topic = TopicType(info.name, info.type)
+        if robot is None and self.member is not None:
+            config = self._hub.robots.config_of(self.member.robot)
+            limits = limits_of(config, (topic,))
+            shown = self.shown.of(info.name)
+            admission = Admission(shown, drive=limits.drive)
+            if self.lock.lock_reason is not None:
+                admission.lock(self.lock.lock_reason, loop_time_s(), by=self.lock.locked_by)
+            gate = VelocityGate(admission, limits, ZERO)
+            return Drivable(name=shown, commands=commands_of((topic,), config), gate=gate, gates=self._hub.gates)
         if robot is None:
             shown = self.shown.of(info.name)
             admission, boards = Admission(shown, drive=None), self._hub.robots.boards

@@ -471,6 +471,20 @@ class Gates:
         if refusal is not None:
             raise refusal
 
+    def note_missing(self, drivables: Iterable[Drivable], missing: str) -> None:
+        """Stop a robot of several devices because one is missing, and refuse commands until `missing` is empty."""
+        drivables, now_s = list(drivables), loop_time_s()
+        if missing:
+            for drivable in drivables:
+                self.note_end(drivable, missing)
+        for admission in {drivable.admission for drivable in drivables}:
+            if admission.missing != missing:
+                admission.note_missing(missing, now_s)
+        for drivable in drivables:
+            if missing and drivable.gate.may_move:
+                drivable.gate.stop(now_s=now_s)
+                self._step(drivable, now_s, is_news=True)
+
     async def settled(self) -> None:
         """Wait until other daemons have answered the stops, locks and unlocks so far.
 

@@ -207,7 +207,7 @@ def places_of(config: Config) -> Places:
     """
     for robot in config.robots.values():
         limits_of(robot)
-    return Places(addresses_of(config))
+    return Places(addresses_of(config), {name: robot.devices for name, robot in config.robots.items() if robot.devices})
 
 
 async def _log_what_is_missing() -> None:

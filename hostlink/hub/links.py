@@ -5,7 +5,7 @@ import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import structlog
@@ -333,7 +333,9 @@ class Links:
         """Put a device into the graph, as its robot if it has one."""
         if claim.replaces is not None:
             self._replace(claim.replaces)
-        device.settings, device.refused_settings = claim.settings, ""
+        joined = {each.robot for each in (device.member, claim.member) if each is not None}
+        device.settings, device.member = claim.settings, claim.member
+        device.refused_settings = ""
         touched, before = device.names, device.robot
         changed = [] if before is None else [before]
         robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
@@ -342,11 +344,12 @@ class Links:
             device.announce(device.infos, ShownNames())
         else:
             changed.append(robot)
+        device.is_undecided = False
+        changed += self._regroup(joined)
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         self.on_named()
         self._log_unguarded(device)
-        device.is_undecided = False
         for message, read in device.early.pop_all():
             device.receive(message, read)
 
@@ -449,8 +452,17 @@ class Links:
     def _leave_graph(self, device: Device) -> None:
         touched, robot = device.names, self._hub.robots.vanish(device)
         device.leave()
-        if robot is not None or touched:
-            self._hub.robot_topics.update([] if robot is None else [robot], touched)
+        member, device.member = device.member, None
+        changed = self._regroup(() if member is None else (member.robot,))
+        if robot is not None and robot not in changed:
+            changed.append(robot)
+        if changed or touched:
+            self._hub.robot_topics.update(changed, touched)
+
+    def _regroup(self, names: Iterable[str]) -> list[LocalRobot]:
+        """Find the parts of robots of several devices anew. Return these robots."""
+        found = (self._hub.robots.regroup(name) for name in names)
+        return [robot for robot in found if robot is not None]
 
 
 def commands_by_name(config: Config) -> dict[str, CommandSettings]:

@@ -19,7 +19,7 @@ from hostlink.robot.kinematics import SETTINGS
 
 log = structlog.get_logger()
 
-ROBOT = ("address", "kinematics", "wheel_radius_m", *SETTINGS, *LIMITS)
+ROBOT = ("address", "devices", "command_device", "kinematics", "wheel_radius_m", *SETTINGS, *LIMITS)
 API = ("tokens", "origins")
 
 

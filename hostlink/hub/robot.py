@@ -7,7 +7,7 @@ import secrets
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import msgspec
 import structlog
@@ -52,6 +52,9 @@ from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import Limits, VelocityGate
 from hostlink.robot.wheel_feedback import WheelSettings
 
+if TYPE_CHECKING:
+    from hostlink.hub.device import Device
+
 log = structlog.get_logger()
 
 
@@ -70,6 +73,8 @@ def of_namesake(config: RobotConfig | None) -> RobotConfig:
     return dataclasses.replace(
         config,
         address=None,
+        devices=(),
+        command_device=None,
         odom_topic=None,
         cmd_vel_topic=None,
         cmd_vel_stamped_topic=None,
@@ -140,7 +145,9 @@ def command_settings(config: RobotConfig) -> CommandSettings:
         topics = (config.command_topic,)
     is_spatial = config.kinematics == "spatial"
     ignored, locked = frozenset(config.not_commands), frozenset(config.locked_topics)
-    return CommandSettings(kind, topics, config.feedback.topic, ignored, locked, is_spatial)
+    return CommandSettings(
+        kind, topics, config.feedback.topic, ignored, locked, is_spatial, config.devices, config.command_device
+    )
 
 
 def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[WheelScale]:
@@ -317,6 +324,8 @@ class LocalRobot(Drivable, AnyRobot):
     shown: RobotTopicNames  # names in the graph
     on_lock: "Callable[[LocalRobot], None]"  # called after a lock or unlock: a locked robot is never forgotten
     locked_link: Link | None = None  # link at the time of the lock
+    parts: "tuple[Device, ...]" = ()  # its other devices, if it consists of several
+    feedback_links: dict[tuple[str, str], Link] | None = None  # of each topic of its feedback; None: its own link
     has_had_device: bool = False  # one that is not a recording
     host: None = None
     also_at: tuple[str, ...] = ()
@@ -325,6 +334,11 @@ class LocalRobot(Drivable, AnyRobot):
     heard: frozenset[str] = frozenset()  # topics of its gate, also while its device is not connected
     battery: BatteryReading | None = None  # newest reading on this link
     followers: dict[Hashable, Follow] = field(default_factory=dict)
+
+    @property
+    def beside(self) -> list[Drivable]:
+        """All velocity topics of its devices."""
+        return [*super().beside, *(drivable for part in self.parts for drivable in part.drivables)]
 
     @property
     def frames(self) -> FrameIds:
@@ -358,7 +372,7 @@ class LocalRobot(Drivable, AnyRobot):
             priority=None if driver is None else driver.priority,
             lock_reason=admission.lock_reason,
             epoch=admission.epoch,
-            unreachable=self.refusals.cause,
+            unreachable=self.refusals.cause or (admission.missing if connection is not None else None) or None,
             wheel_separation_m=self.config.wheel_separation_m,
             kinematics=admission.kinematics,
             lease_s=admission.lease_s,
@@ -367,9 +381,14 @@ class LocalRobot(Drivable, AnyRobot):
             battery_v=None if battery is None else battery.voltage_v,
             battery_percent=None if battery is None else battery.percent,
             signal_dbm=None if monitor is None else monitor.signal_dbm(now_s),
-            device_errors=() if connection is None else tuple(each.code for each in connection.diagnosis.findings),
+            device_errors=() if connection is None else self._device_errors(connection),
             firmware=None if monitor is None else monitor.firmware,
         )
+
+    def _device_errors(self, connection: "Device") -> tuple[str, ...]:
+        """Return the codes of the findings of all its devices."""
+        findings = (each.code for device in (connection, *self.parts) for each in device.diagnosis.findings)
+        return tuple(dict.fromkeys(findings))
 
     def answer(self, owner: Hashable) -> None:  # noqa: ARG002 - used by RemoteRobot
         """Return None: `command` has returned the answer."""
@@ -404,8 +423,9 @@ class LocalRobot(Drivable, AnyRobot):
         self.locked_link = self.link
         try:
             self.gates.lock(self.beside, shown_reason(reason), by=by)
-            if self.connection is not None:
-                self.connection.stop_unguarded()
+            for device in (self.connection, *self.parts):
+                if device is not None:
+                    device.stop_unguarded()
         finally:
             self.on_lock(self)
             log.warning("robot.locked", robot=self.name, reason=self.gate.lock_reason)
@@ -436,8 +456,8 @@ class LocalRobot(Drivable, AnyRobot):
     def why_unknown(self) -> str:
         """Return the reason why odometry does not show whether the robot is stopped."""
         link = self.link
-        if link is None:
-            return "its device is not connected"
+        if link is None or self.admission.missing:
+            return self.admission.missing or "its device is not connected"
         if not self.feedback.topics:
             cause = self.refusals.cause
             return NO_ODOMETRY if cause is None else f"its device cannot receive the stop: {cause}"
@@ -457,10 +477,11 @@ class LocalRobot(Drivable, AnyRobot):
     def receive_feedback(self, topic: str, message: Message) -> None:
         """Receive a message of a topic of its feedback, by the device's name of it.
 
-        Messages that did not arrive on the robot's own link are ignored.
+        Messages that did not arrive on the link that it reads are ignored.
         """
-        link = None if self.connection is None else self.connection.link
-        if message.source is not link or (topic, message.type_name) not in self.feedback.topics:
+        key = (topic, message.type_name)
+        link = self.link if self.feedback_links is None else self.feedback_links.get(key)
+        if message.source is not link or key not in self.feedback.topics:
             return
         odometry = self.odometry
         count, ignored, restarts = odometry.count, odometry.ignored, odometry.restarts

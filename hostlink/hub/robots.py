@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import itertools
 import math
 import secrets
@@ -12,13 +13,14 @@ from typing import TYPE_CHECKING
 import structlog
 
 from hostlink.config import RobotConfig
-from hostlink.errors import HostlinkError, UnknownTopic
+from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
 from hostlink.hub.device import CommandEndpoint, Device
 from hostlink.hub.gates import Drivable
 from hostlink.hub.robot import (
     AnyRobot,
     LocalRobot,
     RemoteRobot,
+    command_settings,
     commands_of,
     correction_of,
     feedback_of,
@@ -31,10 +33,11 @@ from hostlink.hub.robot_events import OTHER_TOPICS, EventKind
 from hostlink.link.link import Link
 from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
-from hostlink.robot.command_types import CommandType
+from hostlink.robot.command_types import CommandType, TopicType
 from hostlink.robot.feedback import Feedback
 from hostlink.robot.model import RobotTopicNames
 from hostlink.robot.odometry import OdometryEstimator
+from hostlink.robot.parts import Parts, parts_of
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate
 
@@ -354,6 +357,76 @@ class Robots:
         self._hub.note_robot(robot.name)
         return robot
 
+    def regroup(self, name: str) -> LocalRobot | None:
+        """Find the parts of a robot of several devices anew, after one of them came, left or has other topics.
+
+        Return the robot; None if it has never been commanded.
+        """
+        robot = self._robots.get(name)
+        if robot is None:
+            return None
+        members = {
+            device.member.place: device
+            for device in self.devices.values()
+            if device.member is not None and device.member.robot == name and not device.is_undecided
+        }
+        if not robot.config.devices:  # no longer of several
+            self._note_parts(robot, (), None)
+            self._gates.note_missing([robot], "")
+            return robot
+        endpoints = {place: device.endpoints for place, device in members.items()}
+        parts = parts_of(name, command_settings(robot.config), endpoints)
+        self._note_parts(robot, tuple(each for each in members.values() if each is not robot.connection), None)
+        self._note_missing(robot, parts.why_not)
+        self._read_parts(robot, parts, members)
+        for drivable in robot.beside:
+            reason = robot.gate.lock_reason
+            if reason is not None and drivable.admission.lock_reason is None:
+                with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
+                    self._gates.lock([drivable], reason, by=robot.admission.locked_by)
+        return robot
+
+    def _note_parts(
+        self, robot: LocalRobot, parts: tuple[Device, ...], links: dict[tuple[str, str], Link] | None
+    ) -> None:
+        for device in (*robot.parts, *parts):
+            device.read_for(None)
+        robot.parts, robot.feedback_links = parts, links
+
+    def _note_missing(self, robot: LocalRobot, why_not: str) -> None:
+        before = robot.admission.missing
+        if why_not and why_not != before:
+            log.warning("robot.incomplete", robot=robot.name, reason=why_not)
+        elif before and not why_not:
+            log.info("robot.complete", robot=robot.name)
+        self._gates.note_missing([each for each in robot.beside if each.admission is robot.admission], why_not)
+
+    def _read_parts(self, robot: LocalRobot, parts: Parts, members: dict[str, Device]) -> None:
+        """Read the robot's feedback from the devices that send it."""
+        odometry = robot.config.feedback.topic
+        if odometry is None:
+            odometry = parts.odometry()
+        offered = [TopicType(each.name, each.type_name) for _, each in parts.feedback]
+        topics = dataclasses.replace(robot.topics, odometry=odometry or None)
+        try:
+            robot.feedback = feedback_of(topics, offered, robot.config)
+        except ConfigError as error:
+            log.warning("robot.settings_refused", robot=robot.name, reason=str(error))
+            return
+        places = {topic: parts.place_of(topic) for topic in robot.feedback.topics}
+        readers = {topic: members[place] for topic, place in places.items() if place is not None}
+        robot.feedback_links = {topic: device.link for topic, device in readers.items()}
+        for device in members.values():
+            device.read_for(robot)
+        first = next(iter(readers.items()), None)
+        if robot.connection is not None:
+            robot.connection.diagnosis.monitor.motion.topic = odometry or ""
+        is_message = first is not None and odometry and robot.config.encoders is None
+        name = first[1].shown.of(first[0][0]) if first is not None and is_message else None
+        robot.shown = dataclasses.replace(
+            robot.shown, odometry=name, odometry_type=first[0][1] if first is not None and is_message else None
+        )
+
     def put_remote(self, robot: RemoteRobot) -> None:
         """Add a robot of another daemon."""
         self.pop_remote(robot.name)
@@ -440,6 +513,10 @@ class Robots:
         )
         _configure(robot)
         return robot
+
+    def config_of(self, name: str) -> RobotConfig:
+        """Return the settings of a configured robot, connected or not."""
+        return self._configs.get(name, RobotConfig())
 
     def _config_of(self, name: str, own_name: str) -> RobotConfig:
         return self._configs.get(name) or of_namesake(self._configs.get(own_name))

@@ -34,6 +34,7 @@ epoch that is not the current one or is from before the newest stop or pause: th
 | non-zero command while the robot is locked                          | refused: locked      |
 | a velocity that is impossible for the robot's `drive` at any speed  | refused: unsupported |
 | command while the device is not connected                           | refused: not_connected |
+| non-zero command while another device of the robot is not connected | refused: not_connected |
 | non-zero command that was sent or received a lease ago, or earlier  | refused: late        |
 | non-zero command whose stamp is older than `max_stamp_age_s`        | refused: late        |
 | command while another source holds the robot at a higher priority   | refused: held        |
@@ -259,6 +260,7 @@ class Admission:
     locked_by: str | None = None
     interrupted_by: str | None = None  # the newest interruption
     is_connected: bool = False
+    missing: str = ""  # why a robot of several devices cannot be driven: one of them is not connected
     refused: dict[RefusalKind, int] = field(default_factory=dict)
     _sources: dict[Hashable, _Source] = field(default_factory=dict)  # the one that commanded last is the last one
     _drivers: dict[Hashable, Lease] = field(default_factory=dict)  # by velocity topic
@@ -307,8 +309,8 @@ class Admission:
         impossible = None if self.drive is None else self.drive.why_impossible(velocity)
         if impossible is not None:
             return self._refuse(RefusalKind.UNSUPPORTED, impossible)
-        if not self.is_connected:
-            return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
+        if not self.is_connected or self.missing:
+            return self._refuse(RefusalKind.NOT_CONNECTED, self.missing or "its device is not connected")
         if waited_s >= self.lease_s or command.stamp_age_s is not None:
             late = self._late_text(command, waited_s)
             if late:
@@ -348,7 +350,7 @@ class Admission:
                     source.arm()
                     source.has_lost_device = False
         if not self.is_connected:
-            return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
+            return self._refuse(RefusalKind.NOT_CONNECTED, self.missing or "its device is not connected")
         driver = self.driver(topic, now_s)
         if driver is not None and driver.source != owner:
             name = shlex.quote(self.robot)
@@ -583,6 +585,20 @@ class Admission:
     def disconnect(self, now_s: float) -> None:
         """The device is gone."""
         self.is_connected, self._disconnected_s = False, now_s
+        self._end_all_drives(now_s)
+
+    def note_missing(self, missing: str, now_s: float) -> None:
+        """Note why a robot of several devices cannot be driven; empty: all are connected, which is an interruption."""
+        was_missing, self.missing = self.missing, missing
+        if missing:
+            self._end_all_drives(now_s)
+        elif was_missing:
+            self.interrupt(now_s, by="a reconnection of one of its devices")
+            self._drop_holds()
+            for source in self._sources.values():
+                source.has_lost_device = False
+
+    def _end_all_drives(self, now_s: float) -> None:
         for source in self._sources.values():
             source.has_lost_device |= now_s < source.commanded_s + self.lease_s
         self._drivers.clear()

@@ -114,6 +114,8 @@ class CommandSettings(NamedTuple):
     ignored: frozenset[str] = frozenset()  # topics that command no motion, whatever their name and type
     locked: frozenset[str] = frozenset()  # topics of no velocity that a lock refuses, for example of servos
     is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
+    devices: tuple[str, ...] = ()  # addresses, ports and names of its devices, if it consists of several
+    command_device: str | None = None  # the one that is commanded; None: the only one that takes a velocity
 
 
 NO_SETTINGS: Final = CommandSettings()

@@ -20,6 +20,7 @@ from hostlink.robot.model import (
     leaf_of,
     select,
 )
+from hostlink.robot.parts import Membership, place_in, takes_velocity
 
 SURE_S = 3.0  # docs/protocol.md#time: a live device requests the time every 2.5 s
 SOONEST_S = 0.5  # longer than the project's passthrough waits before it dials again: 0.2 s
@@ -103,14 +104,19 @@ class Named:
 class Places:
     """Addresses of robots by configuration. With thousands of robots its construction takes time."""
 
-    def __init__(self, addresses: Mapping[str, str | None]) -> None:
-        """`addresses`: robot name -> IP address, also with a port, or serial port."""
+    def __init__(self, addresses: Mapping[str, str | None], devices: Mapping[str, Sequence[str]] | None = None) -> None:
+        """`addresses`: robot name -> IP address, also with a port, or serial port. `devices`: robots of several, and
+        where these are.
+        """
         self._names: defaultdict[str, list[str]] = defaultdict(list)
         self._configured = frozenset(addresses)
-        self._with_place = {name for name, address in addresses.items() if address is not None}
+        self._with_place = {name for name, address in addresses.items() if address is not None} | set(devices or {})
         for name, address in addresses.items():
             if address is not None:
                 self._names[address].append(name)
+        for name, places in (devices or {}).items():
+            for place in places:
+                self._names[place].append(name)
 
     def has(self, name: str) -> bool:
         """Whether this robot has a place."""
@@ -153,12 +159,17 @@ class RobotNames:
     A name without a device stays its last owner's until it is forgotten.
     """
 
-    def __init__(self, addresses: Mapping[str, str | None], remembered: Mapping[str, Remembered] | None = None) -> None:
+    def __init__(
+        self,
+        addresses: Mapping[str, str | None],
+        remembered: Mapping[str, Remembered] | None = None,
+        several: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
         """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port.
 
-        `remembered`: name -> its owner before the restart.
+        `remembered`: name -> its owner before the restart. `several`: robots of several devices.
         """
-        self.places = Places(addresses)
+        self.places = Places(addresses, several)
         self.remembered: dict[str, Remembered] = {}  # the one that was used last is the last one
         self.remember(remembered or {})
         self.links: dict[str, int] = {}  # of the names that a device has now
@@ -331,6 +342,7 @@ class Accepted:
     is_certain: bool = True
     is_numbered: bool = False
     settings: CommandSettings = NO_SETTINGS  # of the robot's command
+    member: Membership | None = None  # of a robot of several devices, also if `robot` is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,6 +364,7 @@ class _Entry:
     since_s: float
     is_settled: bool = False
     name: str | None = None  # of its robot
+    member: Membership | None = None
     is_certain: bool = False
     replaced_at_s: float = -math.inf  # when it replaced another link
 
@@ -386,8 +399,9 @@ class Directory:
 
         `settings`: what commands each robot. `remembered`: name -> its owner before the restart.
         """
-        self._names = RobotNames(addresses, remembered)
-        self._settings = dict(settings or {})
+        several = {name: each.devices for name, each in (settings or {}).items() if each.devices}
+        self._names = RobotNames(addresses, remembered, several)
+        self._set_commands(settings or {})
         self._entries: dict[int, _Entry] = {}
         self._presences: dict[int, Presence] = {}
         self._settled: defaultdict[tuple[str, Hashable], dict[int, None]] = defaultdict(dict)
@@ -421,6 +435,9 @@ class Directory:
         """A device has announced its topics (again); `announced`: all of it, if that is more than the topics."""
         self.presence(link).note_read(now_s)
         robot, settings = self.find(topics, Origin("", address, peer))
+        member = self.member(topics, Origin("", address, peer))
+        if member is not None and self._is_other_commanded(link, member):
+            robot = None
         if is_played(topics):
             address = peer = PLAYED
         is_unnamed = robot is not None and not robot.name
@@ -431,10 +448,10 @@ class Directory:
         if robot is None or is_unnamed:  # nothing but its topics distinguishes it from another
             key = (address, announced or frozenset(topics))
         entry, is_new = self._entries.get(link), False
-        if entry is None or entry.key != key:
+        if entry is None or entry.key != key or entry.member != member:
             self._release(link)
             origin = Origin("" if robot is None else robot.name, address, peer, is_unnamed)
-            entry, is_new = _Entry(origin, key, now_s), True
+            entry, is_new = _Entry(origin, key, now_s, member=member), True
             self._entries[link] = entry
         replaces = None
         if not entry.is_settled:
@@ -449,10 +466,26 @@ class Directory:
             self._settle(link, entry, named, replaces)
             entry.replaced_at_s = -math.inf if gone is None else entry.since_s
         if robot is None or entry.name is None:
-            return Accepted(None, replaces, settings=settings)
+            return Accepted(None, replaces, settings=settings, member=member)
         is_numbered = self._names.is_numbered(entry.name, entry.origin)
         here = replace(robot, name=entry.name)
-        return Accepted(here, replaces, robot.name, entry.is_certain, is_numbered, settings)
+        return Accepted(here, replaces, robot.name, entry.is_certain, is_numbered and not member, settings, member)
+
+    def member(self, topics: Sequence[Endpoint], origin: Origin) -> Membership | None:
+        """Return of which robot of several devices this is a part; None: it is not. A recording is a part of none."""
+        if is_played(topics):
+            return None
+        for name, settings in self._of_several.items():
+            place = place_in(settings.devices, topics, peer=origin.peer, address=origin.address)
+            if place is not None:
+                return Membership(name, place)
+        return None
+
+    def _is_other_commanded(self, link: int, member: Membership) -> bool:
+        """Whether another device of the robot has its name: two that take a velocity are not one robot."""
+        other = self._names.links.get(member.robot)
+        entry = None if other is None or other == link else self._entries[other]
+        return entry is not None and entry.member is not None and entry.member != member
 
     def _described(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[str | None, CommandSettings]:
         """Return the robot whose settings describe a device, and these settings.
@@ -468,6 +501,11 @@ class Directory:
 
     def find(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[RobotTopicNames | None, CommandSettings]:
         """Return the robot that a device is, by its topics and the settings, and these; None: it takes no velocity."""
+        member = self.member(topics, origin)
+        if member is not None:
+            settings = self._settings[member.robot]
+            is_commanded = takes_velocity(member.place, topics, settings)
+            return find_robot(topics, settings) if is_commanded else None, settings
         chosen, settings = self._described(topics, origin)
         robot = find_robot(topics, settings)
         if robot is not None and chosen is not None:
@@ -479,6 +517,9 @@ class Directory:
 
     def explain(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[RobotTopicNames | None, str | None]:
         """Return the robot that a device is by its own topics and settings, and the name that the settings give it."""
+        member = self.member(topics, origin)
+        if member is not None:
+            return self.find(topics, origin)[0], member.robot
         chosen, _ = self._described(topics, origin)
         given = next(iter(self._names.places.at(origin)), None)
         return self.find(topics, origin)[0], chosen if chosen is not None else given
@@ -501,13 +542,24 @@ class Directory:
         misplaced = self.misplaced(places)
         self._names.places = places
         if settings is not None:
-            self._settings = dict(settings)
+            before = self._settings
+            self._set_commands(settings)
+            members = {
+                number: entry.member.robot for number, entry in self._entries.items() if entry.member is not None
+            }
+            for number, robot in members.items():
+                if before.get(robot) != settings.get(robot):
+                    self._release(number)
         for name, link in misplaced.items():
             if link is not None:
                 self._release(link)
             self._names.forget(name)
             self._names.remembered.pop(name, None)
         return misplaced
+
+    def _set_commands(self, settings: Mapping[str, CommandSettings]) -> None:
+        self._settings = dict(settings)
+        self._of_several = {name: each for name, each in settings.items() if each.devices}
 
     def leave(self, link: int) -> None:
         """The device's link is gone."""
@@ -540,6 +592,8 @@ class Directory:
 
     def _name(self, entry: _Entry, replaces: int | None, now_s: float) -> Named | None:
         """None: the device that has the name at another address may be this one, with a new address."""
+        if entry.member is not None and entry.member.robot not in self._names.links:
+            return Named(entry.member.robot, is_certain=True)
         name = None if replaces is None else self._entries[replaces].name
         if name is not None:
             return Named(name, not self._names.has_twins(entry.origin))

@@ -1,0 +1,189 @@
+"""A robot of two boards: motors on one, encoders on the other."""
+
+import asyncio
+import contextlib
+import struct
+from collections.abc import Sequence
+
+import pytest
+
+from hostlink.config import Config, RobotConfig
+from hostlink.errors import CommandRefused
+from hostlink.hub.hub import places_of
+from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import Id
+from hostlink.robot.velocity import PlanarVelocity
+from tests.support.fake_device import topic
+from tests.support.memory_hub import MemoryHub, in_hub, velocities
+from tests.support.scripted_device import ScriptedDevice
+
+MOTORS, WHEELS = "10.0.0.2", "10.0.0.3"
+COMMAND = [topic(Id.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
+POSE = [topic(Id.PUBLISHER, 125, "odom", "geometry_msgs/Pose2D")]
+OTHER_COMMAND = [*POSE, topic(Id.SUBSCRIBER, 101, "other/cmd_vel", "geometry_msgs/Twist")]
+CONFIG = Config(robots={"r": RobotConfig(devices=(MOTORS, WHEELS))})
+CHOSEN = Config(robots={"r": RobotConfig(devices=(MOTORS, WHEELS), command_device=MOTORS)})
+SLOW = PlanarVelocity(0.25)
+
+
+async def connected(
+    made: MemoryHub, *, wheels: Sequence[TopicInfo] = POSE, first: str = MOTORS
+) -> tuple[ScriptedDevice, ScriptedDevice]:
+    order = [MOTORS, WHEELS] if first == MOTORS else [WHEELS, MOTORS]
+    found = {place: await made.connect(COMMAND if place == MOTORS else wheels, address=place) for place in order}
+    await asyncio.sleep(1.0)
+    return found[MOTORS], found[WHEELS]
+
+
+def drive(made: MemoryHub, velocity: PlanarVelocity = SLOW) -> None:
+    made.hub.join("program").drive(made.robot("r"), velocity)
+
+
+def odometry(x: float) -> bytes:
+    return struct.pack("<3d", x, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("first", [MOTORS, WHEELS])
+def test_robot_is_commanded_on_one_board_and_measured_by_the_other(first: str) -> None:
+    async def test(made: MemoryHub) -> None:
+        motors, wheels = await connected(made, first=first)
+        await wheels.send(125, odometry(1.5))
+        await asyncio.sleep(0.1)
+        drive(made)
+        await asyncio.sleep(0.1)
+        robot = made.robot("r")
+        state = robot.state(made.now_s)
+        assert [each.name for each in made.hub.robots.here()] == ["r"]
+        assert state.odometry is not None
+        assert state.odometry.pose is not None
+        assert (state.odometry.pose.x_m, state.odometry_topic, state.unreachable) == (1.5, "/odom", None)
+        assert velocities(motors)[-1] == (0.25, 0.0)
+
+    in_hub(test, CONFIG)
+
+
+@pytest.mark.parametrize("first", [MOTORS, WHEELS])
+def test_robot_stops_when_its_feedback_board_leaves_and_says_which(first: str) -> None:
+    async def test(made: MemoryHub) -> None:
+        events: list[RobotEvent] = []
+        made.hub.events.observe("test", events.append)
+        motors, wheels = await connected(made, first=first)
+        program = made.hub.join("program")
+        program.drive(made.robot("r"), SLOW)
+        await asyncio.sleep(0.1)
+        await wheels.aclose()
+        await asyncio.sleep(0.2)
+        assert velocities(motors)[-1] == (0.0, 0.0)
+        missing = f"its device {WHEELS} is not connected"
+        assert [each.facts["reason"] for each in events if each.kind is EventKind.STOPPED] == [missing]
+        assert made.robot("r").state(made.now_s).unreachable == missing
+        assert made.logged("robot.incomplete")[-1]["reason"] == missing
+        with pytest.raises(CommandRefused, match=f"r: {missing}"):
+            program.drive(made.robot("r"), SLOW)
+        program.drive(made.robot("r"), PlanarVelocity())  # a zero is never refused for that
+        with pytest.raises(CommandRefused):
+            program.drive(made.robot("r"), SLOW)
+        again = await made.connect(POSE, address=WHEELS)
+        await asyncio.sleep(0.1)
+        with pytest.raises(CommandRefused, match="a reconnection of one of its devices"):
+            program.drive(made.robot("r"), SLOW)
+        program.drive(made.robot("r"), PlanarVelocity())
+        program.drive(made.robot("r"), SLOW)
+        await again.send(125, odometry(0.5))
+        await asyncio.sleep(0.1)
+        assert velocities(motors)[-1] == (0.25, 0.0)
+        assert made.robot("r").odometry.snapshot(made.now_s) is not None
+
+    in_hub(test, CONFIG)
+
+
+def test_robot_refuses_while_its_command_board_is_away_and_names_it() -> None:
+    async def test(made: MemoryHub) -> None:
+        motors, wheels = await connected(made)
+        drive(made)
+        await asyncio.sleep(0.1)
+        await motors.aclose()
+        await asyncio.sleep(0.1)
+        with pytest.raises(CommandRefused, match=f"its device {MOTORS} is not connected"):
+            drive(made)
+        again = await made.connect(COMMAND, address=MOTORS)
+        await asyncio.sleep(0.1)
+        assert set(velocities(again)) == {(0.0, 0.0)}
+        await asyncio.sleep(1.0)
+        drive(made)
+        await wheels.send(125, odometry(2.0))
+        await asyncio.sleep(0.1)
+        assert velocities(again)[-1] == (0.25, 0.0)
+        assert made.robot("r").odometry.count == 1
+
+    in_hub(test, CONFIG)
+
+
+@pytest.mark.parametrize("first", [MOTORS, WHEELS])
+def test_two_boards_that_take_a_velocity_are_refused_until_the_settings_choose(first: str) -> None:
+    async def test(made: MemoryHub) -> None:
+        motors, wheels = await connected(made, wheels=OTHER_COMMAND, first=first)
+        with pytest.raises(CommandRefused, match=r"take a velocity: choose one, with command_device in \[robots.r\]"):
+            drive(made)
+        made.hub.reconfigure(CHOSEN, places_of(CHOSEN))
+        await asyncio.sleep(1.0)
+        drive(made)
+        await asyncio.sleep(0.1)
+        assert velocities(motors)[-1] == (0.25, 0.0)
+        assert set(velocities(wheels, 101)) <= {(0.0, 0.0)}
+        await wheels.send(125, odometry(2.0))
+        await asyncio.sleep(0.1)
+        assert made.robot("r").odometry.count == 1
+
+    in_hub(test, CONFIG)
+
+
+def test_stop_and_lock_cover_the_command_of_the_feedback_board() -> None:
+    async def test(made: MemoryHub) -> None:
+        _, wheels = await connected(made, wheels=OTHER_COMMAND)
+        program = made.hub.join("program")
+        twist = struct.pack("<6d", 0.2, 0, 0, 0, 0, 0)
+        program.advertise("/other/cmd_vel", "geometry_msgs/Twist")
+
+        async def moved() -> tuple[float, float]:
+            with contextlib.suppress(CommandRefused):
+                program.publish("/other/cmd_vel", twist)
+            await asyncio.sleep(0.1)
+            return velocities(wheels, 101)[-1]
+
+        assert await moved() == (0.2, 0.0)
+        made.robot("r").stop()
+        await asyncio.sleep(0.1)
+        assert velocities(wheels, 101)[-1] == (0.0, 0.0)
+        await asyncio.sleep(1.0)
+        made.robot("r").lock("test")
+        assert await moved() == (0.0, 0.0)
+        await wheels.aclose()
+        wheels = await made.connect(OTHER_COMMAND, address=WHEELS)
+        await asyncio.sleep(1.0)
+        assert await moved() == (0.0, 0.0)
+        made.robot("r").unlock()
+        await asyncio.sleep(1.0)
+        assert await moved() == (0.2, 0.0)
+
+    in_hub(test, CHOSEN)
+
+
+def test_reload_that_takes_a_board_away_leaves_the_other_a_robot_by_itself() -> None:
+    async def test(made: MemoryHub) -> None:
+        motors, _ = await connected(made)
+        alone = Config(robots={"r": RobotConfig(address=MOTORS)})
+        made.hub.reconfigure(alone, places_of(alone))
+        await asyncio.sleep(1.0)
+        drive(made)
+        await asyncio.sleep(0.1)
+        assert velocities(motors)[-1] == (0.25, 0.0)
+        made.hub.reconfigure(CONFIG, places_of(CONFIG))
+        await asyncio.sleep(1.0)
+        drive(made)
+        await asyncio.sleep(0.1)
+        assert velocities(motors)[-1] == (0.25, 0.0)
+        assert made.robot("r").parts
+
+    in_hub(test, CONFIG)
