@@ -93,7 +93,6 @@ async def test_a_drive_that_moves_sideways_is_driven_so_by_keys_stick_and_gamepa
         await device.stands()
         await tab.page.click("#strafe")
         await tab.drag_stick(60, 0, lambda: device.moves(0, -1, 0))
-        PICTURES.mkdir(parents=True, exist_ok=True)
         await tab.page.screenshot(path=PICTURES / "page-sideways.png")
         await tab.page.mouse.up()
         await device.stands()
