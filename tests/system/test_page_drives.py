@@ -122,7 +122,7 @@ async def test_a_car_is_not_asked_to_turn_in_place_and_the_page_says_why(browser
         tab, keys = device.tab, device.tab.page.keyboard
         sent = len(device.heard)
         await keys.down("ArrowLeft")
-        await tab.shows("#drive-state", "cannot turn in place")
+        await tab.shows("#drive-state", "Cannot turn in place")
         await tab.page.screenshot(path=PICTURES / "page-car.png")
         assert all(each == (0, 0, 0) for each in device.heard[sent:])
         await tab.hold("ArrowUp", lambda: device.moves(1, 0, 1))

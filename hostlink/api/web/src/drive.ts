@@ -143,7 +143,7 @@ export class Drive {
     if (robot.played) return ["other", "A recording: it cannot be driven"];
     if (this.isRefused) return ["refused", this.refusal];
     if (robot.unreachable) return ["refused", `${robot.name} cannot receive: ${robot.unreachable}`];
-    if (this.driving.isImpossible) return ["other", `${robot.name} cannot turn in place: go forward or back, too`];
+    if (this.driving.isImpossible) return ["other", "Cannot turn in place: go forward, too"];
     const driver = this.driver(robot);
     if (driver === "you") return ["driving", "You drive"];
     if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `${driver} drives with a higher priority`];
