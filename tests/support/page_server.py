@@ -281,6 +281,8 @@ def robot(name: str, **changes: Any) -> dict[str, Any]:
         "link": number + 1,
         "frames": 1,
         "velocity_topic": f"/{name}/velocity_commands",
+        "command_type": "geometry_msgs/Twist",
+        "feedback": "pose",
         "odometry_topic": f"/{name}/odometry",
         "played": False,
         "holder": None,
@@ -309,6 +311,7 @@ def odometry(x_m: float, y_m: float, theta_rad: float, **changes: Any) -> dict[s
     view: dict[str, Any] = {
         "pose": {"x_m": x_m, "y_m": y_m, "theta_rad": theta_rad},
         "twist": {"linear_m_s": 0.14, "linear_y_m_s": 0.0, "angular_rad_s": 0.0},
+        "is_moving": None,
         "stamp_ns": 0,
         "age_s": 0.05,
         "rate_hz": 10.0,

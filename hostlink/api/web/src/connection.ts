@@ -22,6 +22,7 @@ const PROBE_ID = "probe";
 export interface DriveRequest {
   robot: string;
   linear: number;
+  linear_y: number; // to the left
   angular: number;
   priority: number;
   epoch: number | null; // of the robot when this motion began; null: its first command is not answered yet

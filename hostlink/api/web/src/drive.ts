@@ -3,12 +3,12 @@
 import { driverText } from "./clients";
 import type { Connection, DriveAnswer } from "./connection";
 import { ageText, digits, find, remember, remembered, setText } from "./dom";
-import { type Deflection, Driving, type Source, TICK_MS } from "./driving";
+import { type Deflection, Driving, type Source, STANDING, TICK_MS } from "./driving";
 import type { Fleet } from "./fleet";
 import { connectGamepad } from "./gamepad";
 import { connectJoystick, isStickShown } from "./joystick";
 import { connectKeys, LOST } from "./keys";
-import { type RobotView, type Velocity } from "./views";
+import { hasSideways, type RobotView, turnsInPlace, type Velocity } from "./views";
 
 const TELEOP_PRIORITY = 60; // above the 50 of programs
 const UNANSWERED_MS = 250; // without an answer for this time nothing more is sent: commands would arrive late
@@ -18,8 +18,6 @@ const AFTERGLOW_MS = 900; // the daemon may still name this page as the driver
 const LEASE_MS = 500;
 const SEEN: Source[] = ["joystick", "keys", "gamepad"]; // they drive where the stick is visible
 const HELD = "held"; // kind of a refusal: another source drives with a higher priority or the same one
-
-const STANDING: Velocity = { linear_m_s: 0, angular_rad_s: 0 };
 
 export class Drive {
   readonly driving = new Driving((velocity) => this.send(velocity));
@@ -94,6 +92,11 @@ export class Drive {
       this.driving.releaseAll(); // the zeros are sent to the robot that was driven
     }
     this.target = robot;
+    const isSideways = robot !== undefined && hasSideways(robot);
+    this.driving.hasSideways = isSideways;
+    this.driving.turnsInPlace = robot === undefined || turnsInPlace(robot);
+    find("#drive").dataset["turns"] = this.driving.turnsInPlace ? "in place" : "moving";
+    for (const each of ["#strafe", "#command-left", "#drive .sideways"]) find(each).hidden = !isSideways;
     const isHeld = robot !== undefined && this.isHeldByEqual(robot);
     if (!isHeld) this.takesOver = false;
     find("#take-over").hidden = !isHeld || this.takesOver;
@@ -140,6 +143,7 @@ export class Drive {
     if (robot.played) return ["other", "A recording: it cannot be driven"];
     if (this.isRefused) return ["refused", this.refusal];
     if (robot.unreachable) return ["refused", `${robot.name} cannot receive: ${robot.unreachable}`];
+    if (this.driving.isImpossible) return ["other", "Cannot turn in place: go forward, too"];
     const driver = this.driver(robot);
     if (driver === "you") return ["driving", "You drive"];
     if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `${driver} drives with a higher priority`];
@@ -157,8 +161,13 @@ export class Drive {
     const command = this.canDrive() ? this.driving.velocity() : STANDING;
     setText(find("#command-linear"), digits(command.linear_m_s, 2));
     setText(find("#command-angular"), digits(command.angular_rad_s, 2));
+    setText(find("#command-left output"), digits(command.linear_y_m_s, 2));
     const { linear_m_s, angular_rad_s } = this.driving.limits;
-    this.showCommand({ forward: command.linear_m_s / linear_m_s, turn: command.angular_rad_s / angular_rad_s });
+    this.showCommand({
+      forward: command.linear_m_s / linear_m_s,
+      turn: command.angular_rad_s / angular_rad_s,
+      left: command.linear_y_m_s / linear_m_s,
+    });
   }
 
   private send(velocity: Velocity): void {
@@ -174,6 +183,7 @@ export class Drive {
     const isSent = this.connection.drive({
       robot: this.target.name,
       linear: velocity.linear_m_s,
+      linear_y: velocity.linear_y_m_s ?? 0,
       angular: velocity.angular_rad_s,
       priority: TELEOP_PRIORITY,
       epoch: this.epoch,

@@ -8,17 +8,25 @@ import type { Velocity } from "./views";
 export const TICK_MS = 80; // more than ten commands a second, as robot bases expect
 const ZEROS = 3; // zeros after a release, because a radio may lose one
 
+export const STANDING: Required<Velocity> = { linear_m_s: 0, linear_y_m_s: 0, angular_rad_s: 0 };
+
 export type Source = "joystick" | "keys" | "gamepad" | "step";
 
-/** Fractions of the full speeds, -1 to 1: forward, and counter-clockwise. */
+const LEAST_FORWARD = 0.08; // a finger that pulls the stick sideways means no more
+
+/** Fractions of the full speeds, -1 to 1: forward, counter-clockwise, and to the left. */
 export interface Deflection {
   forward: number;
   turn: number;
+  left?: number;
 }
 
 export class Driving {
   /** Full speeds. A change applies to held controls and moves nothing by itself. */
-  limits: Velocity = { linear_m_s: 0.2, angular_rad_s: 1 };
+  limits = { linear_m_s: 0.2, angular_rad_s: 1 };
+  /** Of the robot's drive. What it cannot do is not sent. */
+  hasSideways = false;
+  turnsInPlace = true;
 
   private held = new Map<Source, Deflection>();
   private barred = new Set<Source>(); // must be released before it drives again
@@ -45,7 +53,6 @@ export class Driving {
   release(source: Source): void {
     this.barred.delete(source);
     if (!this.held.delete(source)) return;
-    if (!this.isHeld) this.zeros = ZEROS;
     this.tick();
   }
 
@@ -60,32 +67,43 @@ export class Driving {
   /** Treat all controls as released, those that are held until they are. */
   releaseAll(): void {
     for (const source of this.held.keys()) this.barred.add(source);
-    if (this.isHeld) this.zeros = ZEROS;
     this.held.clear();
     while (this.zeros > 0) this.tick(); // there may be no later tick
   }
 
-  /** The present command, within the full speeds. */
-  velocity(): Velocity {
-    let forward = 0;
-    let turn = 0;
-    for (const deflection of this.held.values()) {
-      forward += deflection.forward;
-      turn += deflection.turn;
-    }
+  /** Whether a turn in place is held that the robot cannot do: nothing is sent for it. */
+  get isImpossible(): boolean {
+    const { forward, turn } = this.sum();
+    return !this.turnsInPlace && turn !== 0 && Math.abs(forward) < LEAST_FORWARD;
+  }
+
+  /** The present command, within the full speeds; forward and sideways together are within the top speed. */
+  velocity(): Required<Velocity> {
+    if (this.isImpossible) return STANDING;
+    const { forward, turn, left } = this.sum();
+    const linear_m_s = this.limits.linear_m_s / Math.max(1, Math.hypot(forward, left));
     return {
-      linear_m_s: clamp(forward) * this.limits.linear_m_s,
-      angular_rad_s: clamp(turn) * this.limits.angular_rad_s,
+      linear_m_s: forward * linear_m_s,
+      linear_y_m_s: left * linear_m_s,
+      angular_rad_s: turn * this.limits.angular_rad_s,
     };
   }
 
+  /** Send what is held; after that, zeros. */
   tick(): void {
-    if (this.isHeld) {
+    if (this.isHeld && !this.isImpossible) {
+      this.zeros = ZEROS;
       this.send(this.velocity());
     } else if (this.zeros > 0) {
       this.zeros -= 1;
-      this.send({ linear_m_s: 0, angular_rad_s: 0 });
+      this.send(STANDING);
     }
+  }
+
+  private sum(): Required<Deflection> {
+    const held = [...this.held.values()];
+    const sum = (part: keyof Deflection) => clamp(held.reduce((total, each) => total + (each[part] ?? 0), 0));
+    return { forward: sum("forward"), turn: sum("turn"), left: this.hasSideways ? sum("left") : 0 };
   }
 }
 

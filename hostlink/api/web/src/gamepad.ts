@@ -1,5 +1,6 @@
 /**
- * A gamepad drives with its left stick while a shoulder button is held, where the page's stick is visible. Losing the
+ * A gamepad drives with its left stick while a shoulder button is held, where the page's stick is visible. Its right
+ * stick moves the robot sideways. Losing the
  * gamepad releases the stick.
  */
 
@@ -28,7 +29,8 @@ export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => 
     const pad = pads.find(isEnabledBy) ?? pads[0] ?? null;
     const isEnabled = isHere && isEnabledBy(pad);
     if (pad !== null && isEnabled && isStickShown()) {
-      driving.hold("gamepad", { forward: bend(-(pad.axes[1] ?? 0)), turn: bend(-(pad.axes[0] ?? 0)) });
+      const [turn = 0, forward = 0, left = 0] = pad.axes.map((axis) => bend(-axis));
+      driving.hold("gamepad", { forward, turn, left: pad.mapping === "standard" ? left : 0 }); // else a trigger
     } else if (isEnabled) {
       if (driving.bar("gamepad")) notice("done", HIDDEN, HIDDEN_MS);
     } else {

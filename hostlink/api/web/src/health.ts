@@ -8,7 +8,7 @@ import { bytes } from "./widgets";
 type Tile = "rate" | "age" | "lost" | "resyncs" | "page" | "device" | "signal" | "battery" | "errors";
 
 const TILES: Record<Tile, [label: string, hint: string]> = {
-  rate: ["Odometry", "poses a second"],
+  rate: ["Odometry", "messages a second that tell its motion"],
   age: ["Last byte", "time since the device's last byte"],
   lost: ["Skipped", "bytes from the device that were not part of a valid frame"],
   resyncs: ["Resyncs", "how often the topics were negotiated again"],
@@ -67,7 +67,8 @@ export class Health {
     const known_s = isOld ? fleet.age_s(robot) : (robot?.odometry?.age_s ?? link?.silent_s);
     const age_s = robot?.connected ? known_s : undefined;
     const device_s = isKnown ? link?.clock?.round_trip_s : undefined;
-    this.set("rate", isKnown && robot?.connected ? `${digits(robot.odometry?.rate_hz, 1)} Hz` : "–");
+    const rate = robot?.feedback === "none" ? "none" : `${digits(robot?.odometry?.rate_hz, 1)} Hz`;
+    this.set("rate", isKnown && robot?.connected ? rate : "–");
     this.set("age", age_s === undefined ? "–" : ageText(age_s), isOld || (age_s ?? 0) > OLD_S);
     this.set("lost", link ? bytes(link.skipped_bytes) : "–", (link?.skipped_bytes ?? 0) > 0);
     this.set("resyncs", link ? String(Math.max(0, link.negotiations - 1)) : "–", (link?.negotiations ?? 0) > 1);

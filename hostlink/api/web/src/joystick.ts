@@ -47,6 +47,7 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): (command: 
     restOpacity: 1,
     fadeTime: 0,
   });
+  const strafe = find<HTMLButtonElement>("#strafe");
   const release = () => {
     zone.classList.remove("held");
     driving.release("joystick");
@@ -55,8 +56,9 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): (command: 
     const { angle, distance } = event.data;
     const part = Math.min(1, distance / (SIZE_PX / 2));
     zone.classList.add("held");
-    if (part < DEAD_ZONE) driving.hold("joystick", { forward: 0, turn: 0 });
-    else driving.hold("joystick", { forward: part * Math.sin(angle.radian), turn: -part * Math.cos(angle.radian) });
+    const [forward, left] = part < DEAD_ZONE ? [0, 0] : [part * Math.sin(angle.radian), -part * Math.cos(angle.radian)];
+    const isSideways = driving.hasSideways && strafe.ariaPressed === "true";
+    driving.hold("joystick", isSideways ? { forward, turn: 0, left } : { forward, turn: left });
   });
   joystick.on("end", release);
   addEventListener(
@@ -71,10 +73,15 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): (command: 
   );
   for (const lost of ["pointercancel", "touchcancel", "touchend"]) zone.addEventListener(lost, release);
   addEventListener("resize", () => driving.releaseAll()); // nipplejs then measures again
+  strafe.addEventListener("click", () => {
+    if (driving.holds("joystick")) driving.bar("joystick"); // it must be released before it means something else
+    strafe.ariaPressed = String(strafe.ariaPressed !== "true");
+  });
   const knob = find("#joystick .front");
-  return ({ forward, turn }) => {
-    const radius = SIZE_PX / 2 / Math.max(1, Math.hypot(forward, turn)); // the knob stays within the circle
+  return ({ forward, turn, left = 0 }) => {
+    const aside = turn + left;
+    const radius = SIZE_PX / 2 / Math.max(1, Math.hypot(forward, aside)); // the knob stays within the circle
     const isHeld = zone.classList.contains("held");
-    knob.style.translate = isHeld ? "none" : `${-turn * radius}px ${-forward * radius}px`;
+    knob.style.translate = isHeld ? "none" : `${-aside * radius}px ${-forward * radius}px`;
   };
 }

@@ -8,20 +8,25 @@ import { isStickShown } from "./joystick";
 import { notice } from "./notice";
 import { closeTop } from "./open";
 
-const WAYS: Record<string, [forward: number, turn: number]> = {
-  ArrowUp: [1, 0],
-  KeyW: [1, 0],
-  ArrowDown: [-1, 0],
-  KeyS: [-1, 0],
-  ArrowLeft: [0, 1],
-  KeyA: [0, 1],
-  ArrowRight: [0, -1],
-  KeyD: [0, -1],
+type Way = [forward: number, turn: number, left: number];
+
+const WAYS: Record<string, Way> = {
+  ArrowUp: [1, 0, 0],
+  KeyW: [1, 0, 0],
+  ArrowDown: [-1, 0, 0],
+  KeyS: [-1, 0, 0],
+  ArrowLeft: [0, 1, 0],
+  KeyA: [0, 1, 0],
+  ArrowRight: [0, -1, 0],
+  KeyD: [0, -1, 0],
+  KeyQ: [0, 0, 1],
+  KeyE: [0, 0, -1],
 };
 
 /** Events after which releases are not reported: another window, a browser menu, a drag out of the page. */
 export const LOST = ["blur", "contextmenu", "dragstart"] as const;
 
+const NO_SIDEWAYS = "The drive of this robot cannot move it sideways.";
 const HIDDEN = "Keys drive only where the stick is visible.";
 const HIDDEN_MS = 3000;
 
@@ -31,14 +36,10 @@ const TEXTS = new Set(["text", "password", "number", "search", "email", "url", "
 
 /** Space stops; L and Escape lock. Escape first closes what is open, unless this page drives: then it is a stop. */
 export function connectKeys(driving: Driving, stop: () => void, lock: () => void): void {
-  const held = new Set<string>();
+  const held = new Map<string, Way>();
   const hold = () => {
-    let [forward, turn] = [0, 0];
-    for (const code of held) {
-      forward += WAYS[code]?.[0] ?? 0;
-      turn += WAYS[code]?.[1] ?? 0;
-    }
-    if (held.size > 0) driving.hold("keys", { forward: Math.sign(forward), turn: Math.sign(turn) });
+    const sum = (part: 0 | 1 | 2) => Math.sign([...held.values()].reduce((total, way) => total + way[part], 0));
+    if (held.size > 0) driving.hold("keys", { forward: sum(0), turn: sum(1), left: sum(2) });
     else driving.release("keys");
   };
   addEventListener(
@@ -60,7 +61,14 @@ export function connectKeys(driving: Driving, stop: () => void, lock: () => void
         }
         event.preventDefault();
         if (event.repeat) return; // a key that was released, for example by leaving the window, must be pressed again
-        held.add(event.code);
+        const [forward, turn, left] = WAYS[event.code] ?? [0, 0, 0];
+        // with Shift at its press, a key that turns moves sideways until it is released
+        const isStrafe = event.shiftKey && driving.hasSideways;
+        if (left !== 0 && !driving.hasSideways) {
+          notice("done", NO_SIDEWAYS, HIDDEN_MS);
+          return;
+        }
+        held.set(event.code, isStrafe ? [forward, 0, left || turn] : [forward, turn, left]);
         hold();
       }
     },

@@ -244,6 +244,6 @@ function show(): void {
 
 function showPoses(): void {
   for (const robot of fleet.robots) {
-    if (robot.odometry) map.add(robot.name, robot.odometry.pose);
+    if (robot.odometry?.pose) map.add(robot.name, robot.odometry.pose);
   }
 }

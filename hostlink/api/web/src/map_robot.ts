@@ -86,7 +86,7 @@ export function drawGhost(
   c.stroke();
   c.setLineDash([]);
   c.lineWidth = 3;
-  if (robot.odometry) line(c, view, course(pose, robot.odometry.twist));
+  if (robot.odometry?.twist) line(c, view, course(pose, robot.odometry.twist));
   c.restore();
 }
 

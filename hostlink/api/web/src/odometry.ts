@@ -4,7 +4,7 @@ import { ageText, confirmed, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
 import { notice } from "./notice";
 import { ofRobot, reasonOf, rest } from "./rest";
-import { speedText } from "./views";
+import { motionText } from "./views";
 
 const ROWS = ["x", "y", "heading", "speed"] as const;
 
@@ -41,11 +41,11 @@ export class Odometry {
     find("#pose").classList.toggle("gone", state === "gone");
     const isOld = robot && (isStale || state === "gone");
     setText(this.age, isOld ? `${ageText(this.fleet.age_s(robot))} old` : "");
-    const { pose, twist } = robot?.odometry ?? {};
+    const pose = robot?.odometry?.pose;
     setText(this.values.x, pose ? `${digits(pose.x_m, 2)} m` : "–");
     setText(this.values.y, pose ? `${digits(pose.y_m, 2)} m` : "–");
     setText(this.values.heading, pose ? `${digits((pose.theta_rad * 180) / Math.PI, 0)}°` : "–");
-    setText(this.values.speed, twist && !isStale ? speedText(twist) : "–");
+    setText(this.values.speed, robot?.connected && !isStale ? motionText(robot) : "–");
   }
 
   private async reset(name: string | undefined): Promise<void> {

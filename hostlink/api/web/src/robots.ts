@@ -9,9 +9,10 @@ import { batteryText } from "./health";
 import { commonPrefix, showName } from "./names";
 import { robotColour } from "./robot_colours";
 import { onPress } from "./press";
-import { type RobotView, speedText } from "./views";
+import { motionText, type RobotView } from "./views";
 
 const FILTERED = 8; // with more robots a filter is shown
+const TWIST = "geometry_msgs/Twist";
 const LEAST_SPEED_M_S = 0.2; // speed of a full bar, at least
 
 const COUNTED: Record<Kind, [label: string, hint: string]> = {
@@ -72,7 +73,7 @@ export class RobotList {
     this.count(robots);
     const only = !isStrip() && this.only !== null && this.counts.get(this.only)?.checkVisibility() ? this.only : null;
     const words = !this.filter.checkVisibility() ? [] : this.filter.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const fastest = robots.map(({ odometry }) => Math.abs(odometry?.twist.linear_m_s ?? 0));
+    const fastest = robots.map(({ odometry }) => Math.abs(odometry?.twist?.linear_m_s ?? 0));
     const full_m_s = Math.max(LEAST_SPEED_M_S, ...fastest);
     const hasBattery = robots.some((robot) => batteryText(robot) !== "");
     HEADS.forEach((head, index) => {
@@ -126,7 +127,7 @@ export class RobotList {
     showName(card.name, robot.name, this.prefix);
     setText(card.state, what);
     const twist = isKnown && robot.connected ? robot.odometry?.twist : undefined;
-    setText(card.speed, isKnown && robot.connected ? speedText(robot.odometry?.twist).replace(", ", "\n") : "");
+    setText(card.speed, isKnown && robot.connected ? motionText(robot).replace(", ", "\n") : "");
     const share = Math.max(-1, Math.min(1, (twist?.linear_m_s ?? 0) / full_m_s)).toFixed(2);
     if (card.share !== share) card.speed.style.setProperty("--share", share);
     card.share = share;
@@ -198,7 +199,7 @@ export class RobotList {
     const host = robot.host ? ` · at ${robot.host}` : "";
     const others = robot.also_at?.length ? ` · same name at ${robot.also_at.join(", ")}` : "";
     const fault = this.fleet.state(robot) === "connected" ? faultOf(robot) : "";
-    return `${fault && `${fault} · `}${this.describeDriver(robot)}${host}${others}`;
+    return `${fault && `${fault} · `}${this.describeDriver(robot)}${describeAbilities(robot)}${host}${others}`;
   }
 
   private describeDriver(robot: RobotView): string {
@@ -231,6 +232,12 @@ export class RobotList {
 /** Whether the robots are one line that is scrolled sideways, as on a phone: a count then leads to its robot. */
 function isStrip(): boolean {
   return document.body.dataset.robots === "strip";
+}
+
+/** By what it is commanded if that is not a Twist, and whether its motion cannot be measured. */
+function describeAbilities({ command_type: type, feedback }: RobotView): string {
+  const command = !type || type === TWIST ? "" : ` · commanded by ${type.split("/").at(-1)}`;
+  return command + (feedback === "none" ? " · cannot be measured" : "");
 }
 
 /** What the daemon finds wrong with a connected robot's device, in short; empty if nothing. */

@@ -21,6 +21,35 @@ export function speedText(velocity: Velocity | undefined): string {
   return `${digits(velocity?.linear_m_s, 2)} m/s${isStraight ? "" : `, y ${left} m/s`}`;
 }
 
+/** What the robot's feedback does not tell is null. */
+interface OdometryView {
+  pose: Pose | null;
+  twist: Velocity | null;
+  is_moving?: boolean | null; // of a robot whose feedback tells only that
+  age_s: number;
+  rate_hz: number;
+  count: number;
+  restarts?: number;
+}
+
+/** What is known of its motion: its speed, or only whether it moves. Nothing that was not measured. */
+export function motionText({ odometry, feedback }: RobotView): string {
+  const isMoving = odometry?.is_moving ?? null;
+  if (!odometry?.twist && isMoving !== null) return isMoving ? "moves" : "stands";
+  if (!odometry?.twist && feedback === "none") return "no odometry";
+  return speedText(odometry?.twist ?? undefined);
+}
+
+/** Whether its drive can move it sideways. A drive that is not configured takes every velocity. */
+export function hasSideways({ kinematics }: RobotView): boolean {
+  return ["", "planar", "mecanum", "omni3", "omni4"].includes(kinematics ?? "differential");
+}
+
+/** Whether its drive can turn it while it does not move forward. */
+export function turnsInPlace({ kinematics }: RobotView): boolean {
+  return kinematics !== "ackermann";
+}
+
 export interface RobotView {
   name: string;
   host?: string | null; // daemon that has its link; null: the daemon that sent this
@@ -30,13 +59,15 @@ export interface RobotView {
   frames?: number | null; // number of frames that its device has sent on this link
   velocity_topic: string;
   command_type?: string; // type of velocity_topic
-  odometry_topic: string | null; // null: its device publishes no pose
+  feedback?: string; // what is known of its motion: pose, velocity, motion (whether it moves), none
+  kinematics?: string; // its drive; empty: not configured
+  odometry_topic: string | null; // null: its device publishes neither pose nor velocity
   played?: boolean; // its device is a recording, which cannot be driven
   holder: string | null;
   holder_address?: string | null;
   priority?: number | null;
   velocity: Velocity;
-  odometry: { pose: Pose; twist: Velocity; age_s: number; rate_hz: number; count: number; restarts?: number } | null;
+  odometry: OdometryView | null; // null: none has arrived; for ever without feedback
   locked?: boolean;
   lock_reason?: string | null;
   unreachable?: string | null; // why its device could not receive the last velocity
