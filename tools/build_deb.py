@@ -33,8 +33,7 @@ DEBIANS = {"12": "3.11", "13": "3.13"}  # the version of Python of each Debian
 PLATFORMS = {"amd64": "x86_64", "arm64": "aarch64"}
 GLIBCS = ("2_17", "2_24", "2_26", "2_27", "2_28", "2_31", "2_34")  # of wheels; Debian 12 has 2.36
 HOME = "usr/lib/hostlink"
-# Extras that the package leaves out: for developers, or as large as all the rest (matplotlib: 100 MB).
-LEFT_OUT = ("all", "compiled", "dev", "docs", "fuzz", "lab", "mutants", "pictures", "plot")
+LEFT_OUT = ("lab", "pictures", "plot")  # of the extras for users: matplotlib is as large as all the rest (100 MB)
 SYSTEM_LIBRARIES = {  # what the libraries of the wheels may need of Debian, and the packages that have it
     "libgcc-s1": ("libgcc_s.so.1",),
     "libstdc++6": ("libstdc++.so.6",),
@@ -155,9 +154,11 @@ def interpreter(version: str) -> Path | None:
 
 
 def extras() -> list[str]:
-    """Return the extras that the package has."""
+    """Return the extras that the package has: those of `all`, which names the extras for users."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    return sorted(set(project["optional-dependencies"]) - set(LEFT_OUT))
+    (of_users,) = project["optional-dependencies"]["all"]
+    names = of_users.removeprefix("hostlink[").removesuffix("]").split(",")
+    return sorted(set(names) - set(LEFT_OUT))
 
 
 def install_wheels(packages: Path, *, arch: str, python: str) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 PROC = Path("/proc")
 _PARENT, _TERMINAL = 1, 4  # fields of /proc/PID/stat behind the name
+_PSEUDO_TERMINALS = range(136, 144)  # major numbers; each mount of devpts has its own
+_TERMINALS = Path("dev/pts")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +29,15 @@ def users_of(path: str, proc: Path = PROC) -> PortUsers:
     has_login = real.name in _consoles(proc)
     names = ["the kernel's console"] if has_login else []
     try:
-        terminal = _terminal_number(real.stat().st_rdev)
+        device = real.stat().st_rdev
     except OSError:  # the port was removed
         return PortUsers(tuple(names), has_login)
+    terminal, is_pseudo = _terminal_number(device), os.major(device) in _PSEUDO_TERMINALS
     own, wanted = os.getpid(), str(real)
     for process in proc.glob("[0-9]*"):
         with contextlib.suppress(OSError, ValueError, IndexError):  # the process has ended
             name, fields = _status(process)
-            if own in (int(process.name), int(fields[_PARENT])):
+            if own in (int(process.name), int(fields[_PARENT])) or (is_pseudo and _has_other_terminals(process)):
                 continue
             is_login = int(fields[_TERMINAL]) == terminal != 0
             if is_login or _has_open(process, wanted.__eq__):
@@ -65,6 +68,17 @@ def _status(process: Path) -> tuple[str, list[str]]:
     """Return the name of a process and the fields of its status behind the name, which may contain anything."""
     before, _, after = (process / "stat").read_text(errors="replace").rpartition(")")
     return before.partition("(")[2], after.split()
+
+
+def _has_other_terminals(process: Path) -> bool:
+    """Whether pseudo-terminals of the same name and number are others for a process: in a container or a chroot.
+
+    False for another user's process, whose root is hidden.
+    """
+    try:
+        return (process / "root" / _TERMINALS).stat().st_dev != Path("/", _TERMINALS).stat().st_dev
+    except OSError:
+        return False
 
 
 def _has_open(process: Path, is_wanted: Callable[[str], bool]) -> bool:

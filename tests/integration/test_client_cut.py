@@ -11,6 +11,7 @@ from hostlink.client import ConnectionChange, Host, Robot, connect
 from hostlink.client.mailbox import Mailbox
 from hostlink.errors import HostlinkError
 from hostlink.hub.robot import AnyRobot
+from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import LEASE_S
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
@@ -20,6 +21,7 @@ from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
 NOTICED_S = 1.0
+STALLED_S = 0.4  # the client counts 0.6 s without a word as a loss, and the last word may be 0.2 s old
 STOPPED_M_S = 0.005
 
 
@@ -128,6 +130,7 @@ async def test_a_stop_that_overtakes_commands_on_their_way_stops_for_good(is_rep
     async with driven() as world:
         if not is_repeated:
             await world.robot.stop()
+        began_s = loop_time_s()
         world.line.set_line(Line.STALLS_SOCKETS)
         for _ in range(3):  # shorter than what counts as a loss
             if not is_repeated:
@@ -137,9 +140,10 @@ async def test_a_stop_that_overtakes_commands_on_their_way_stops_for_good(is_rep
         gate = world.known.gate
         assert gate.owner_name is None
         world.line.set_line(Line.WORKS)
+        stalled_s = loop_time_s() - began_s
         await expect(lambda: gate.owner_name is None and gate.current.is_zero)
         await expect_never(lambda: not gate.current.is_zero, for_s=0.3)
-        assert world.me.is_connected or world.host.was_paused
+        assert world.me.is_connected or stalled_s > STALLED_S or world.host.was_paused
 
 
 async def test_during_the_cut_every_call_raises_at_once() -> None:

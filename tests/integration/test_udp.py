@@ -101,10 +101,10 @@ class TestSession:
     async def test_silence_ends_the_session_after_a_last_zero_and_the_next_frame_begins_another(self) -> None:
         link = LinkConfig(silence_timeout_s=0.3, idle_timeout_s=0.3)
         async with host_of(link=link) as host, udp_device(host.udp, robot_topics()) as device:
-            await device.send(pose(0.0))
-            await expect(host.hub.robots.all)
-            robot = host.hub.robots.find("robot_0")
-            await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
+            async with repeating(device, pose(0.0), interval_s=0.05):  # until it is driven, however long that takes
+                await expect(host.hub.robots.all)
+                robot = host.hub.robots.find("robot_0")
+                await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
             await expect(lambda: robot.link is None)  # the device's datagrams have ceased
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
             assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
@@ -282,15 +282,19 @@ class TestStrangers:
             device.read_waiting()
             program.drive(robot, PlanarVelocity(x_m_s=0.5))
             await asyncio.sleep(0.05)
-            assert device.read_waiting() == []
+            assert set(device.read_waiting()) <= {TOPICS_REQUEST}  # due after 2 s, and allowed: it is short
             robot.stop()
+            outbox = host.hub.links.all()[0].session.outbox
             came: list[float] = []
             async with asyncio.timeout(TIMEOUT_S):
-                while len(came) < 3:
+                # Zeros that wait together are one frame, so how many come depends on when the device sends.
+                while not came or host.hub.gates._active or outbox.has_waiting:
                     await device.send(pose(0.0))
                     await asyncio.sleep(0.01)
                     velocities = [each for each in device.read_waiting() if len(each) == OTHER_BYTES[1]]
                     came += [struct.unpack_from("<d", each, 7)[0] for each in velocities]
+                velocities = [each for each in device.read_waiting() if len(each) == OTHER_BYTES[1]]
+                came += [struct.unpack_from("<d", each, 7)[0] for each in velocities]
             assert set(came) == {0.0}
             assert device.received_bytes <= device.sent_bytes
 

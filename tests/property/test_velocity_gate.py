@@ -159,8 +159,8 @@ class GateHistory(RuleBasedStateMachine):
                 self.gate.drive(owner, ZERO, priority=priority, now_s=self.now_s)
         else:
             assert self.gate.drive(owner, ZERO, priority=priority, now_s=self.now_s) == ZERO
-        if self.owner == owner:
-            self.wanted = ZERO
+        if self.owner == owner:  # it lets go
+            self.end(self.now_s)
         elif self.owner is None:
             self.zeros = max(self.zeros, 1)
         self.step()

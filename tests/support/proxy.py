@@ -5,6 +5,8 @@ import contextlib
 from collections.abc import AsyncIterator
 from enum import Enum
 
+from tests.support.tcp_server import tcp_server
+
 READ_BYTES = 65536
 GATHER_S = 0.2
 
@@ -99,11 +101,10 @@ async def _gather(reader: asyncio.StreamReader) -> bytes:
 async def proxy(target: tuple[str, int] | str) -> AsyncIterator[Proxy]:
     """A proxy to an address or a URL, on a port of its own."""
     new = Proxy(address_of(target) if isinstance(target, str) else target)
-    server = await asyncio.start_server(new.serve, "127.0.0.1", 0)
-    new.url = "http://{}:{}".format(*server.sockets[0].getsockname()[:2])
-    try:
-        yield new
-    finally:
-        server.close()
-        new.set_line(Line.WORKS)
-        new.break_off()
+    async with tcp_server(new.serve) as address:
+        new.url = "http://{}:{}".format(*address)
+        try:
+            yield new
+        finally:
+            new.set_line(Line.WORKS)
+            new.break_off()

@@ -27,12 +27,17 @@ async def tcp_server(serve: Serve) -> AsyncIterator[tuple[str, int]]:
     try:
         yield server.sockets[0].getsockname()[:2]
     finally:
-        server.close()
-        for _ in range(ACCEPTING_TURNS):
-            await asyncio.sleep(0)
+        await end_accepting(server)
         for task in list(serving):
             task.cancel()
             await asyncio.wait([task])
+
+
+async def end_accepting(server: asyncio.Server) -> None:
+    """Stop accepting, and let each connection that is being accepted reach its handler, which closes it."""
+    server.close()
+    for _ in range(ACCEPTING_TURNS):
+        await asyncio.sleep(0)
 
 
 async def say_nothing(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

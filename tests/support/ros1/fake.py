@@ -14,7 +14,7 @@ from aiohttp import web
 from hostlink.graphs.ros1.tcpros import MessageStream, decode_header, encode_header, encode_message
 from hostlink.graphs.ros1.xml_rpc import decode_call, encode_answer, encode_call
 from hostlink.messages.catalog import Catalog
-from tests.support.tcp_server import tcp_server
+from tests.support.tcp_server import end_accepting, tcp_server
 from tests.support.waiting import TIMEOUT_S, expect
 
 CATALOG = Catalog()
@@ -227,7 +227,7 @@ async def fake_publisher(
         async with xml_rpc_server(made.answer) as made.uri:
             yield made
     finally:
-        server.close()
+        await end_accepting(server)
         made.close()
 
 

@@ -142,3 +142,7 @@ def test_maintainer_scripts_are_valid_shell() -> None:
         script = build_deb.CONTROL / name
         assert re.search(r"^#DEBHELPER#$", script.read_text(), re.MULTILINE)
         subprocess.run(["sh", "-n", script], check=True)
+
+
+def test_package_has_the_extras_for_users_and_no_tools_of_developers() -> None:
+    assert build_deb.extras() == ["export", "mdns", "ros2", "sim", "uvloop", "zenoh"]

@@ -50,6 +50,18 @@ def test_console_of_the_kernel_is_named(proc: Path) -> None:
     assert users_of(PORT, proc) == PortUsers(("the kernel's console",), has_login=True)
 
 
+def test_terminal_of_the_same_number_in_a_container_is_another_one(proc: Path) -> None:
+    host, port = os.openpty()
+    path, number = os.ttyname(port), os.fstat(port).st_rdev
+    add_process(proc, 12, "cat", target=path)
+    (proc / "12" / "root").symlink_to("/")
+    add_process(proc, 13, "dpkg", terminal=os.major(number) << 8 | os.minor(number), target=path)
+    (proc / "13" / "root" / "dev" / "pts").mkdir(parents=True)
+    assert users_of(path, proc) == PortUsers(("cat (pid 12)",))
+    os.close(host)
+    os.close(port)
+
+
 def test_own_process_and_its_guardian_are_not_named(proc: Path) -> None:
     add_process(proc, os.getpid(), "hostlink", target=PORT)
     add_process(proc, 14, "guardian", parent=os.getpid(), target=PORT)
