@@ -435,18 +435,20 @@ class RemoteRobot(AnyRobot):
             DeviceGone: several robots have this name, or the robot's daemon does not answer.
             FrameTooLarge, WrongType: the answer to the previous command of this source.
         """
-        command = self.gates.timed(self.name, command, loop_time_s())
+        now_s = loop_time_s()
+        command = self.gates.timed(self.name, command, now_s)
         self._check_unique()
-        decision = self.admission.decide(command, loop_time_s())
+        decision = self.admission.decide(command, now_s)
         if decision.kind is not None:
             raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder, by=decision.by)
-        lease = self.admission.driver("", loop_time_s())  # None for a zero
+        lease = self.admission.driver("", now_s)  # None for a zero
+        began_s = command.received_s if lease is None else lease.deadline_s - self.admission.lease_s
         self.hosts.drive(
             self,
             command.velocity,
             owner=command.source,
             priority=command.priority,
-            received_s=command.received_s if lease is None else lease.deadline_s - self.admission.lease_s,
+            received_s=began_s,
             epoch=None if command.epoch is None else self._epoch,
         )
         return command.velocity
