@@ -4,7 +4,7 @@ from collections import OrderedDict
 from collections.abc import Hashable
 from typing import NamedTuple
 
-REFUSED_VELOCITIES_S = 1.0  # statuses a second about refused velocities of one topic, which may have ten a second
+REFUSED_VELOCITIES_S = 1.0  # statuses a second about refused velocities of one topic and kind, which may be ten
 MAX_KEYS = 1024  # the least recently used is dropped: its bucket is full again by then
 
 

@@ -1,13 +1,16 @@
 """Server-sent events: the state of robots, links and clients as it changes, and log lines.
 
 A state that is not sent yet is replaced by a newer one, so a slow reader receives fewer states. Of log lines the
-newest MAX_LINES are kept; the others are counted.
+newest MAX_LINES are kept; the others are counted. A reader that reconnects sends the id of its last line
+(`Last-Event-ID`, as in the HTML standard) and gets the lines since then.
 """
 
 import asyncio
 import contextlib
 import fcntl
 import math
+import re
+import secrets
 import sys
 import termios
 from collections import deque
@@ -77,18 +80,21 @@ REFRESH_S = 9.5 * TICK_S  # for ages and counters: every tenth tick
 SHARE = 0.03  # of the processor, for one kind of event: a large fleet is sent less often
 BYTE_COST_S = 2e-9  # of sending to one reader
 MAX_LINES = 64
+LINGER_S = 10.0  # lines are kept for so long after the last reader, who may reconnect
+LAST_ID_HEADER = "Last-Event-ID"
 
 
 class Reader:
     """Position of one reader in the feed."""
 
-    def __init__(self, feed: "StateFeed") -> None:
+    def __init__(self, feed: "StateFeed", last_id: str = "") -> None:
+        """`last_id`: id of the last line that the reader had in an earlier stream; other texts mean none."""
         self.dropped = 0  # log lines dropped because this reader was too slow
         self.news = asyncio.Event()
         self.oldest_s: float | None = None  # Backlog protocol: a newer state replaces an older one, so none grows old
         self._feed = feed
         self._version = 0
-        self._lines = feed.line_count
+        self._lines = feed.count_at(last_id)
 
     @property
     def waiting_messages(self) -> int:
@@ -104,11 +110,12 @@ class Reader:
         """Return the events not sent yet."""
         events = self._newer()
         lines = self._feed.lines_since(self._lines)
-        self.dropped += self._feed.line_count - self._lines - len(lines)
+        first = self._feed.line_count - len(lines) + 1
+        self.dropped += first - 1 - self._lines
         self._version, self._lines = self._feed.version, self._feed.line_count
-        for line in lines:
+        for number, line in enumerate(lines, first):
             try:
-                events.append(encode_event("log", line.made("json", encode_json)))
+                events.append(encode_event("log", line.made("json", encode_json), self._feed.id_of(number)))
             except BadPayload:  # a client published an invalid log message
                 self.dropped += 1
         return events
@@ -154,7 +161,9 @@ class StateFeed:
         )
         self._hub, self._clients, self._recordings = hub, clients, recordings
         self._slices = Slices(hub)
+        self._name = secrets.token_hex(4)  # the ids of another daemon's lines are others
         self._readers: set[Reader] = set()
+        self._left_s = 0.0  # end of the last reader
         self._lines: deque[Message] = deque(maxlen=MAX_LINES)
         self._pieces: dict[str, _RobotPiece] = {}
         self._refresh_at_s = 0.0
@@ -170,19 +179,33 @@ class StateFeed:
             yield
         finally:
             self._readers.discard(reader)
+            if not self._readers:
+                self._left_s = asyncio.get_running_loop().time()
+                self._forget_states()
+
+    def id_of(self, number: int) -> str:
+        """Return the id of the line with this number, from 1."""
+        return f"{self._name}-{number}"
+
+    def count_at(self, last_id: str) -> int:
+        """Return the number of lines until the one with this id; all lines so far if it is not one of this feed."""
+        name, _, number = last_id.partition("-")
+        if name != self._name or not re.fullmatch("[0-9]{1,15}", number):
+            return self.line_count
+        return min(int(number), self.line_count)
 
     def lines_since(self, count: int) -> list[Message]:
         """Return the log lines after the first `count`, as far as they are kept."""
         return list(islice(self._lines, max(0, len(self._lines) - (self.line_count - count)), None))
 
     async def _run(self) -> None:
-        """Renew the states while there are readers."""
+        """Renew the states while there are readers, and keep lines until LINGER_S after the last one."""
         participant = self._hub.join("events", role=Role.READ)
         participant.subscribe("/rosout", self._add_line)
         announced = (self.version, self.line_count)
         try:
-            while self._readers:
-                for state in self.states:
+            while self._readers or asyncio.get_running_loop().time() < self._left_s + LINGER_S:
+                for state in self.states if self._readers else ():
                     if state.due_s <= asyncio.get_running_loop().time():
                         await self._renew(state)
                 if announced != (self.version, self.line_count):
@@ -191,10 +214,15 @@ class StateFeed:
                 await asyncio.sleep(TICK_S)
         finally:
             participant.leave()
-            self.is_running, self._refresh_at_s = False, 0.0
-            for state in self.states:
-                state.version, state.due_s = 0, 0.0  # later readers do not get an old state
+            self.is_running = False
+            self._forget_states()
             self._wake()
+
+    def _forget_states(self) -> None:
+        """Let later readers not get an old state."""
+        self._refresh_at_s = 0.0
+        for state in self.states:
+            state.version, state.due_s = 0, 0.0
 
     def _wake(self) -> None:
         for reader in self._readers:
@@ -257,9 +285,10 @@ def _essence(view: RobotView) -> object:
     return {**view, "odometry": odometry and odometry["count"], "frames": frames}
 
 
-def encode_event(name: str, json: bytes) -> bytes:
+def encode_event(name: str, json: bytes, event_id: str = "") -> bytes:
     """Encode one server-sent event."""
-    return b"event: %b\ndata: %b\n\n" % (name.encode(), json)
+    id_line = f"id: {event_id}\n" if event_id else ""
+    return b"%bevent: %b\ndata: %b\n\n" % (id_line.encode(), name.encode(), json)
 
 
 HEARTBEAT_S = 0.3  # a reader without three of them knows that the daemon is gone
@@ -285,9 +314,9 @@ class Events:
 
     async def _state(self, request: web.Request) -> web.StreamResponse:
         """Events `robots`, `links` and `clients`: the JSON of their GETs; `recordings`: running ones, how often their
-        folder has changed, how many incidents are pending, saved, missed; `log`: a log line.
+        folder has changed, how many incidents are pending, saved, missed; `log`: a log line, whose id continues it.
         """
-        reader = Reader(self._feed)
+        reader = Reader(self._feed, request.headers.get(LAST_ID_HEADER, ""))
         async with self._stream(request, reader) as (response, send, _):
             with self._feed.reading(reader):
                 while self._feed.is_running:

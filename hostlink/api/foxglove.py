@@ -677,7 +677,7 @@ class FoxgloveClient:
             known = self._hub.topics.find_or_none(topic)
             is_velocity = known is not None and known.is_gated
             is_new = self._refused.get(number) != str(error)
-            if is_new and (not is_velocity or self._refused_velocities.allows(topic, loop_time_s())):
+            if is_new and (not is_velocity or self._refused_velocities.allows((topic, error.kind), loop_time_s())):
                 self._refused[number] = str(error)
                 self._put_status(_ERROR, str(error), topic)
         else:

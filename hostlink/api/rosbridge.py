@@ -979,7 +979,7 @@ class RosbridgeClient:
         is known to fail by one.
         """
         log.debug("client.refused", client=self.participant.name, reason=str(error))
-        if not (self._is_shown_velocity(request) if self._status_from is None else self._status_from <= _ERROR):
+        if not (self._is_shown_velocity(error, request) if self._status_from is None else self._status_from <= _ERROR):
             return
         status = {"op": "status", "level": "error", "msg": str(error), "kind": error.kind}
         request_id = None if request is None else request.fields.get("id")
@@ -994,15 +994,15 @@ class RosbridgeClient:
             status = {"op": "status", "level": "error", "msg": dropped_text(counts), "kind": "TooSlow"}
             put_json(self._queue, status)
 
-    def _is_shown_velocity(self, request: Request | None) -> bool:
-        """Whether the error refuses a published velocity, and the rate limit of its topic admits a status."""
+    def _is_shown_velocity(self, error: HostlinkError, request: Request | None) -> bool:
+        """Whether the error refuses a published velocity, and the rate limit of its topic and kind admits a status."""
         if not self._reads_status:
             return False
         name = request.fields.get("topic") if request is not None and request.op == "publish" else None
         topic = self._hub.topics.find_or_none(name) if isinstance(name, str) else None
         if topic is None or not topic.is_gated:
             return False
-        return self._refused_velocities.allows(topic.name, asyncio.get_running_loop().time())
+        return self._refused_velocities.allows((topic.name, error.kind), asyncio.get_running_loop().time())
 
 
 def _refuse_action(request: Request) -> None:

@@ -110,7 +110,8 @@ class ClientSocket:
                     await self._refuse_flood()
                     return
                 if not operations.has_room:
-                    self._end_wait(self._pace.skip)  # a pong is behind what is not read now
+                    self._pace.skip()  # a pong is behind what is not read now
+                    self._end_wait()
                     reading.pause()
                     await self._until(lambda: operations.has_room)
                     reading.resume()
@@ -239,7 +240,7 @@ class ClientSocket:
                 return
             if self._operations.has_room and (ping := self._pace.ask(now_s)):  # otherwise no pong is read
                 pieces.append(_control_frame(_PING, ping))
-                self._pong_timer = self._loop.call_later(SEND_TIMEOUT_S, self._end_wait, self._pace.give_up)
+                self._pong_timer = self._loop.call_later(SEND_TIMEOUT_S, self._miss_pong)
             self._client.messages_to_client += count
             self._client.bytes_to_client += size_bytes
             self._transport.write(b"".join(pieces))
@@ -286,9 +287,13 @@ class ClientSocket:
             self._pace.note_pause(self._loop.time() - self._full_s)
         self._note_news()
 
-    def _end_wait(self, end: Callable[[], None] = lambda: None) -> None:
-        """Continue to send: the client has read the last write, or is not asked."""
-        end()
+    def _miss_pong(self) -> None:
+        """Continue to send without pings: the client has not answered in time."""
+        self._pace.give_up()
+        self._end_wait()
+
+    def _end_wait(self) -> None:
+        """Continue to send: no pong is awaited any longer."""
         if self._pong_timer is not None:
             self._pong_timer.cancel()
             self._pong_timer = None

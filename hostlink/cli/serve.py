@@ -47,9 +47,8 @@ from hostlink.transport.udp import serve_udp
 
 log = structlog.get_logger()
 
-FIRST_TRY_S = (
-    2.0  # to open the serial ports: a USB adapter needs milliseconds, a reset of its board a tenth of a second
-)
+# To open the serial ports: a USB adapter needs milliseconds, a reset of its board a tenth of a second.
+FIRST_TRY_S = 2.0
 SWITCH_INTERVAL_S = 0.0005  # a tenth of Python's default
 M_MMAP_THRESHOLD = -3  # of malloc.h
 LARGE_BYTES = 128 * 1024  # glibc's own threshold at the start

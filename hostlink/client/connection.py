@@ -15,7 +15,7 @@ import cbor2
 import msgspec
 from aiohttp import WSMsgType
 
-from hostlink.client.http_client import REQUEST_TIMEOUT_S, HttpClient, encode
+from hostlink.client.http_client import REQUEST_TIMEOUT_S, EventStream, HttpClient, encode
 from hostlink.client.views import Event
 from hostlink.errors import HostlinkError, Refused
 
@@ -154,10 +154,10 @@ class HostConnection:
         Raises:
             HostlinkError: the daemon refuses it, or the connection is lost for good.
         """
-        has_begun, pauses_s = False, waits()
+        has_begun, pauses_s, stream = False, waits(), EventStream()
         while True:
             try:
-                async for event in self._http.events(path):
+                async for event in self._http.events(path, stream):
                     has_begun, pauses_s = True, waits()
                     yield event
             except HostlinkError:

@@ -103,7 +103,8 @@ class Host:
 
         The newest of each first, then `robots` when one of them changes, ten times a second at most, `links` and
         `clients` once a second, and each `log` line. It pauses while the connection is lost, and continues
-        afterwards. A reader that is slow gets fewer states, always the newest.
+        afterwards, with the newest 64 of the lines that were logged meanwhile. A reader that is slow gets fewer states,
+        always the newest.
 
         Raises:
             HostlinkError: in the iteration: when it begins, hostlink refuses or is not there; with `reconnect=False`

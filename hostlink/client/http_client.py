@@ -48,7 +48,13 @@ class EventStream:
     """Parser of hostlink's events: one `event` line and one `data` line of JSON each; comments are skipped."""
 
     def __init__(self) -> None:
+        self.last_id = ""  # of the newest event that has one: a later stream continues after it
         self._pending = bytearray()
+        self._name = ""
+
+    def begin(self) -> None:
+        """Forget half an event of a lost connection."""
+        self._pending.clear()
         self._name = ""
 
     def feed(self, data: bytes) -> Iterator[Event]:
@@ -61,6 +67,8 @@ class EventStream:
             key, _, value = bytes(line).partition(b": ")
             if key == b"event":
                 self._name = value.decode()
+            elif key == b"id":
+                self.last_id = value.decode()
             elif key == b"data":
                 yield Event(self._name, msgspec.json.decode(value))
 
@@ -187,19 +195,20 @@ class HttpClient:
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
 
-    async def events(self, path: str) -> AsyncIterator[Event]:
-        """The server-sent events of a path.
+    async def events(self, path: str, stream: EventStream) -> AsyncIterator[Event]:
+        """The server-sent events of a path, since the last one that `stream` has read.
 
         Raises:
             HostlinkError: the daemon refuses it, or the connection is lost.
         """
         timeout = aiohttp.ClientTimeout(total=None, sock_connect=REQUEST_TIMEOUT_S)
+        last = {"Last-Event-ID": stream.last_id} if stream.last_id else {}
         try:
-            async with self._session.get(self.url + path, timeout=timeout) as response:
+            async with self._session.get(self.url + path, timeout=timeout, headers=last) as response:
                 if response.status != HTTPStatus.OK:
                     self._read(response.status, await response.read())
                 self._streams.add(response)
-                stream = EventStream()
+                stream.begin()
                 async for chunk in response.content.iter_any():
                     for event in stream.feed(chunk):
                         self.callers.note()

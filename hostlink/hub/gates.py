@@ -366,14 +366,13 @@ class Gates:
             limited = gate.command(command, now_s=now_s)
             ended = gate.pop_ended()
             refusal = None if is_stopping else self._step(drivable, now_s, is_news=True)
+            if ended is not None and (refusal is None or driver is None):
+                self._note_ended(drivable, ended, now_s)
             if refusal is not None:
                 gate.admission.end_drives(owner)
                 gate.stop(now_s=now_s)
-            if refusal is not None and driver is not None:
-                self._note_stop(drivable, NOT_TAKEN, str(driver))
-            elif ended is not None:
-                self._note_ended(drivable, ended, now_s)
-            if refusal is not None:
+                if driver is not None:
+                    self._note_stop(drivable, NOT_TAKEN, str(driver))
                 raise refusal
         except HostlinkError as error:
             if not (velocity.is_zero and command.is_planar):

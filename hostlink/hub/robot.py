@@ -641,18 +641,20 @@ class RemoteRobot(AnyRobot):
             DeviceGone: several robots have this name, or the robot's daemon does not answer.
             FrameTooLarge, WrongType: the answer to the previous command of this source.
         """
-        command = self.gates.timed(self.name, command, loop_time_s())
+        now_s = loop_time_s()
+        command = self.gates.timed(self.name, command, now_s)
         self._check_unique()
-        decision = self.admission.decide(command, loop_time_s())
+        decision = self.admission.decide(command, now_s)
         is_zero = command.velocity.is_zero and command.is_planar
         if decision.is_admitted or (is_zero and decision.kind is RefusalKind.HELD):  # it lets go there, too
-            lease = None if command.velocity.is_zero else self.admission.driver("", loop_time_s())
+            lease = None if command.velocity.is_zero else self.admission.driver("", now_s)
+            began_s = command.received_s if lease is None else lease.deadline_s - self.admission.lease_s
             self.hosts.drive(
                 self,
                 command.velocity,
                 owner=command.source,
                 priority=command.priority,
-                received_s=command.received_s if lease is None else lease.deadline_s - self.admission.lease_s,
+                received_s=began_s,
                 epoch=None if command.epoch is None else self._epoch,
                 take_over=command.take_over,
             )

@@ -189,11 +189,15 @@ class BlackBox:
             self.pending.remove(incident)
             entries = self.rings.copies(incident.robot)
             channels = list(self._channels.get(incident.robot, ()))
-            before_s, rest = self._config.before_s, self._rest
+            before_s, rest, fact = self._config.before_s, self._rest, self._unsaved[incident]
+
+            def write() -> Path:
+                path = write_incident(self.folder, incident, channels, entries, before_s=before_s, rest=rest)
+                self._memory.drop_fact(fact)  # here: the ending daemon may not wait for the thread's answer
+                return path
+
             try:
-                path = await self._thread.run(
-                    lambda: write_incident(self.folder, incident, channels, entries, before_s=before_s, rest=rest)
-                )
+                path = await self._thread.run(write)
             except OutOfTime:
                 return
             except OSError as error:

@@ -179,8 +179,8 @@ def write_incident(
 ) -> Path:
     """Write an incident's file in the order of arrival. Return its path. Blocks on the disk.
 
-    `rest` is called after every BURST messages, because the loop would otherwise run at half speed. An exception from
-    it ends the writing, and no file is left.
+    `rest` is called after every BURST messages, because the loop would otherwise run at half speed, and once when the
+    file is complete. An exception from it ends the writing, and no file is left.
 
     Raises:
         OSError: the disk failed.
@@ -214,6 +214,7 @@ def write_incident(
             if number % BURST == BURST - 1:
                 rest()
         writer.close()
+        rest()  # a process that is out of time has left the incident to another one
     except BaseException:
         writer.abandon()
         part.unlink(missing_ok=True)

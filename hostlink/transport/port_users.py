@@ -9,7 +9,6 @@ from pathlib import Path
 PROC = Path("/proc")
 _PARENT, _TERMINAL = 1, 4  # fields of /proc/PID/stat behind the name
 _PSEUDO_TERMINALS = range(136, 144)  # major numbers; each mount of devpts has its own
-_TERMINALS = Path("dev/pts")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,15 +28,17 @@ def users_of(path: str, proc: Path = PROC) -> PortUsers:
     has_login = real.name in _consoles(proc)
     names = ["the kernel's console"] if has_login else []
     try:
-        device = real.stat().st_rdev
+        port = real.stat()
     except OSError:  # the port was removed
         return PortUsers(tuple(names), has_login)
-    terminal, is_pseudo = _terminal_number(device), os.major(device) in _PSEUDO_TERMINALS
+    terminal, is_pseudo = _terminal_number(port.st_rdev), os.major(port.st_rdev) in _PSEUDO_TERMINALS
     own, wanted = os.getpid(), str(real)
     for process in proc.glob("[0-9]*"):
         with contextlib.suppress(OSError, ValueError, IndexError):  # the process has ended
             name, fields = _status(process)
-            if own in (int(process.name), int(fields[_PARENT])) or (is_pseudo and _has_other_terminals(process)):
+            if own in (int(process.name), int(fields[_PARENT])):
+                continue
+            if is_pseudo and _has_other_terminals(process, port.st_dev):
                 continue
             is_login = int(fields[_TERMINAL]) == terminal != 0
             if is_login or _has_open(process, wanted.__eq__):
@@ -70,13 +71,13 @@ def _status(process: Path) -> tuple[str, list[str]]:
     return before.partition("(")[2], after.split()
 
 
-def _has_other_terminals(process: Path) -> bool:
-    """Whether pseudo-terminals of the same name and number are others for a process: in a container or a chroot.
+def _has_other_terminals(process: Path, mount: int) -> bool:
+    """Whether a process has another mount of the pseudo-terminals than this one: in a container or a chroot.
 
     False for another user's process, whose root is hidden.
     """
     try:
-        return (process / "root" / _TERMINALS).stat().st_dev != Path("/", _TERMINALS).stat().st_dev
+        return (process / "root" / "dev" / "pts").stat().st_dev != mount
     except OSError:
         return False
 

@@ -5,7 +5,7 @@ import contextlib
 import itertools
 import subprocess
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,34 +47,37 @@ async def boxed(settings: Config, name: str = "robot_0") -> AsyncIterator[tuple[
 REQUEST_INTERVAL_S = 0.05  # the API limits the rate of requests
 
 
+async def incidents(host: Daemon, is_so: Callable[[list[dict[str, Any]]], bool]) -> list[dict[str, Any]]:
+    """The incidents, once something is so of them."""
+    async with asyncio.timeout(TIMEOUT_S):
+        while True:
+            listed: list[dict[str, Any]] = (await host.get("/api/incidents"))["incidents"]
+            if is_so(listed):
+                return listed
+            await asyncio.sleep(REQUEST_INTERVAL_S)
+
+
 async def saved(host: Daemon, count: int = 1) -> list[dict[str, Any]]:
     """The incidents, once so many are in files."""
-    listed: list[dict[str, Any]] = []
-    async with asyncio.timeout(TIMEOUT_S):
-        while len([each for each in listed if each["file"]]) < count:
-            await asyncio.sleep(REQUEST_INTERVAL_S)
-            listed = (await host.get("/api/incidents"))["incidents"]
-    written = [each for each in listed if each["file"]]  # a pause of a starved process may be another, still pending
+    listed = await incidents(host, lambda each: len(in_files(each)) >= count)
+    written = in_files(listed)  # a pause of a starved process may be another, still pending
     assert len(written) == count, listed
     return written
 
 
 async def saved_as(host: Daemon, cause: str) -> dict[str, Any]:
     """The only incident of this cause, once it is in a file."""
-    async with asyncio.timeout(TIMEOUT_S):
-        while True:
-            listed = (await host.get("/api/incidents"))["incidents"]
-            found = [each for each in listed if each["cause"] == cause]
-            if found and all(each["file"] for each in found):
-                (incident,) = found
-                return incident
-            await asyncio.sleep(REQUEST_INTERVAL_S)
+
+    def of_cause(listed: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        return [each for each in listed if each["cause"] == cause]
+
+    listed = await incidents(host, lambda each: of_cause(each) != [] and in_files(of_cause(each)) == of_cause(each))
+    (incident,) = of_cause(listed)
+    return incident
 
 
-async def robots_with_file(host: Daemon) -> set[str]:
-    """The robots with an incident in a file. A pause of a starved process may be another incident of a robot."""
-    listed = (await host.get("/api/incidents"))["incidents"]
-    return {each["robot"] for each in listed if each["file"]}
+def in_files(listed: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [each for each in listed if each["file"]]
 
 
 def read(folder: Path, incident: dict[str, Any]) -> list[StoredMessage]:
@@ -167,9 +170,8 @@ async def test_every_robot_of_a_room_may_be_locked_at_once(tmp_path: Path) -> No
         await expect(lambda: all(map(host.hub.robots.has, names)))
         for name in names:
             assert (await host.rest("POST", f"/api/robots/{name}/lock?wait_s=0"))[0] == 200
-        async with asyncio.timeout(TIMEOUT_S):
-            while await robots_with_file(host) != set(names):  # noqa: ASYNC110 - there is no event
-                await asyncio.sleep(REQUEST_INTERVAL_S)
+        # A pause of a starved process may be another incident of a robot.
+        await incidents(host, lambda listed: {each["robot"] for each in in_files(listed)} == set(names))
         assert (await host.get("/api/incidents"))["missed"] == 0
 
 

@@ -286,15 +286,18 @@ class TestStrangers:
             robot.stop()
             outbox = host.hub.links.all()[0].session.outbox
             came: list[float] = []
+
+            def read_velocities() -> None:
+                velocities = [each for each in device.read_waiting() if len(each) == OTHER_BYTES[1]]
+                came.extend(struct.unpack_from("<d", each, 7)[0] for each in velocities)
+
             async with asyncio.timeout(TIMEOUT_S):
                 # Zeros that wait together are one frame, so how many come depends on when the device sends.
                 while not came or host.hub.gates._active or outbox.has_waiting:
                     await device.send(pose(0.0))
                     await asyncio.sleep(0.01)
-                    velocities = [each for each in device.read_waiting() if len(each) == OTHER_BYTES[1]]
-                    came += [struct.unpack_from("<d", each, 7)[0] for each in velocities]
-                velocities = [each for each in device.read_waiting() if len(each) == OTHER_BYTES[1]]
-                came += [struct.unpack_from("<d", each, 7)[0] for each in velocities]
+                    read_velocities()
+                read_velocities()
             assert set(came) == {0.0}
             assert device.received_bytes <= device.sent_bytes
 

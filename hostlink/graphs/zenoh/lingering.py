@@ -13,20 +13,27 @@ import contextlib
 import os
 import socket
 import struct
-from collections.abc import Iterator
 
 SWEEP_INTERVAL_S = 0.5  # a link to a host that vanished is closed after a lease of Zenoh, which is longer
 _DESCRIPTORS = "/dev/fd"  # of this process
 _LINGER = struct.Struct("ii")
 ZENOHS = _LINGER.pack(1, 10)  # by which its sockets are known; nothing else in this process sets it
 _OFF = _LINGER.pack(0, 0)
+_TCP = (socket.AF_INET, socket.SOCK_STREAM, 0)  # SO_LINGER does not depend on them; else the kernel is asked for them
+
+
+class _Borrowed(socket.socket):
+    """Socket of a descriptor, which stays its owner's."""
+
+    def __exit__(self, *_: object) -> None:
+        self.detach()
 
 
 def end_lingering() -> int:
     """Turn SO_LINGER off on each socket with Zenoh's value. Return their number; 0 where descriptors are not listed."""
     lingering = [descriptor for descriptor, linger in lingers().items() if linger == ZENOHS]
     for descriptor in lingering:
-        with _borrowed(descriptor) as one, contextlib.suppress(OSError):  # it was closed meanwhile
+        with contextlib.suppress(OSError), _Borrowed(*_TCP, descriptor) as one:  # or closed meanwhile
             one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
     return len(lingering)
 
@@ -36,8 +43,9 @@ def lingers() -> dict[int, bytes]:
     found = {}
     with contextlib.suppress(OSError):
         for name in os.listdir(_DESCRIPTORS):  # noqa: PTH208 - a Path for each costs more than the rest
-            with contextlib.suppress(OSError), _borrowed(int(name)) as one:  # a file, or closed meanwhile
-                found[int(name)] = one.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size)
+            descriptor = int(name)
+            with contextlib.suppress(OSError), _Borrowed(*_TCP, descriptor) as one:  # a file, or closed meanwhile
+                found[descriptor] = one.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size)
     return found
 
 
@@ -46,7 +54,10 @@ def shut_down(ends: set[tuple[str, str]]) -> int:
     count = 0
     places = {(own.partition("/")[2], other.partition("/")[2]) for own, other in ends}  # without tcp/ or tls/
     for descriptor in lingers():
-        with contextlib.suppress(OSError), _borrowed(descriptor, -1) as one:  # it listens, or was closed meanwhile
+        with (
+            contextlib.suppress(OSError),
+            _Borrowed(-1, socket.SOCK_STREAM, 0, descriptor) as one,
+        ):  # it listens, or was closed meanwhile
             if (_place(one.getsockname()), _place(one.getpeername())) in places:
                 one.shutdown(socket.SHUT_RDWR)
                 count += 1
@@ -59,13 +70,3 @@ def _place(address: object) -> str:
         return ""
     host = address[0]
     return f"[{host}]:{address[1]}" if ":" in host else f"{host}:{address[1]}"
-
-
-@contextlib.contextmanager
-def _borrowed(descriptor: int, family: int = socket.AF_INET) -> Iterator[socket.socket]:
-    """Use a descriptor as a socket; it stays its owner's. Its options do not need its family, its addresses do."""
-    one = socket.socket(family, socket.SOCK_STREAM, 0, descriptor)
-    try:
-        yield one
-    finally:
-        one.detach()

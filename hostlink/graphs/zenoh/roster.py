@@ -16,8 +16,6 @@ MAX_REMOTE_ROBOTS = 1024  # names; each change of so many keeps the loop for 40 
 MAX_NAMESAKES = 4  # daemons that have a robot of one name; if there are two, no other daemon may drive either robot
 MAX_STOPS = 64  # of one daemon, by which a repetition is known
 SILENT_S = 3.0  # a daemon sends its state each second; one that has a token and sends nothing has stopped
-
-
 STUCK_S = 5.0  # a daemon with a token that is silent for so long is not heard over its link
 
 

@@ -141,6 +141,10 @@ class DriveRecord:
         if self._is_served:
             self._waiting.append((number, at_s))
 
+    def _on_released(self, _: float) -> None:
+        """Take the driver's zero, after which anybody may drive until its next command."""
+        self._honest_s = (-math.inf, -math.inf)
+
     def _on_ended(self, at_s: float, how: str) -> None:
         self._count_overdue(at_s)
         self._waiting.clear()

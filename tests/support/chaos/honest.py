@@ -186,6 +186,7 @@ class Driver:
                     self._robot.cut()
                 if self._is_disarmed:  # a stop, a pause or a new link has interrupted it: it lets go, and drives on
                     self._is_disarmed = False
+                    event("released")
                     await connection.send(command(way, 0, 0.0))
                 self._number = self._number % NUMBERS + 1
                 event("sent", self._number)

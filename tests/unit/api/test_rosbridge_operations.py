@@ -355,6 +355,11 @@ async def test_client_without_a_level_hears_of_refused_velocities_at_a_limited_r
     await asyncio.sleep(0.05)
     (status,) = peer.texts()
     assert (status["op"], status["level"], status["kind"]) == ("status", "error", "locked")
+    api.hub.robots.find("robot_0").unlock()
+    peer.send_text(op="publish", topic=VELOCITY, msg={"linear": {"x": 0.1}})
+    await asyncio.sleep(0.05)
+    (status,) = peer.texts()  # another reason is told at once: a program answers it
+    assert (status["op"], status["kind"]) == ("status", "disarmed")
 
 
 @within(api_in_memory)

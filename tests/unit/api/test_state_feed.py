@@ -11,7 +11,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.api.clients import Clients
-from hostlink.api.events import MAX_LINES, Reader, StateFeed
+from hostlink.api.events import LINGER_S, MAX_LINES, Reader, StateFeed
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import Log
@@ -44,9 +44,13 @@ def with_feed(test: Callable[[Hub, StateFeed], Awaitable[None]]) -> None:
 def parsed(events: list[bytes]) -> list[tuple[str, Any]]:
     found = []
     for event in events:
-        name, _, data = event.decode().removeprefix("event: ").removesuffix("\n\n").partition("\ndata: ")
-        found.append((name, json.loads(data)))
+        fields = dict(line.split(": ", 1) for line in event.decode().removesuffix("\n\n").split("\n"))
+        found.append((fields["event"], json.loads(fields["data"])))
     return found
+
+
+def ids(events: list[bytes]) -> list[str]:
+    return [line[4:] for event in events for line in event.decode().splitlines() if line.startswith("id: ")]
 
 
 async def counted(reader: Reader, seconds: float) -> Counter[str]:
@@ -87,7 +91,7 @@ def test_feed_without_readers_encodes_nothing_and_keeps_nothing() -> None:
         with feed.reading(reader):
             await asyncio.sleep(0.05)
             assert parsed(reader.pop())[0] == ("robots", {"robots": []})
-        await asyncio.sleep(1.0)
+        await asyncio.sleep(LINGER_S + 0.5)
         version = feed.version
         device = await connected(hub)
         await asyncio.sleep(10.0)
@@ -191,6 +195,54 @@ def test_log_line_is_sent_at_once_without_other_changes() -> None:
             async with asyncio.timeout(0.15):
                 await reader.news.wait()
             assert [(name, line["msg"]) for name, line in parsed(reader.pop())] == [("log", "warm")]
+        await device.aclose()
+
+    with_feed(check)
+
+
+def test_reader_that_reconnects_gets_the_lines_since_its_last_one() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        device, reader = await connected(hub), Reader(feed)
+
+        async def log(*lines: str) -> None:
+            for line in lines:
+                await device.send(Id.LOG, encode_log(Log(2, line)))
+            await asyncio.sleep(0.15)
+
+        def lines(events: list[bytes]) -> list[str]:
+            return [line["msg"] for name, line in parsed(events) if name == "log"]
+
+        with feed.reading(reader):
+            await asyncio.sleep(0.05)
+            await log("a", "b")
+            events = reader.pop()
+            assert lines(events) == ["a", "b"]
+            first, second = ids(events)
+        await log("c", "d")  # nobody reads
+        await asyncio.sleep(LINGER_S / 2)
+        for last_id, expected in ((second, ["c", "d"]), (first, ["b", "c", "d"])):
+            later = Reader(feed, last_id)
+            with feed.reading(later):
+                await asyncio.sleep(0.15)
+                events = later.pop()
+                assert (lines(events), later.dropped) == (expected, 0)
+                assert parsed(events)[0][0] == "robots"  # as it is now, not as the last reader left it
+        await log(*map(str, range(MAX_LINES)))
+        later = Reader(feed, first)
+        assert (lines(later.pop()), later.dropped) == ([str(number) for number in range(MAX_LINES)], 3)
+        name = first.partition("-")[0]
+        for other in (
+            "",
+            "x",
+            f"{name}-",
+            f"{name}-x",
+            f"{name}--1",
+            f"{name}-²",
+            f"0{name}-1",
+            f"{name}-{'9' * 5000}",
+        ):
+            assert lines(Reader(feed, other).pop()) == []
+        assert lines(Reader(feed, f"{name}-999999").pop()) == []
         await device.aclose()
 
     with_feed(check)

@@ -27,6 +27,16 @@ def test_every_split_gives_the_same_events(cuts: list[int]) -> None:
     assert found == EVENTS
 
 
+def test_a_later_stream_continues_after_the_newest_id_and_forgets_half_an_event() -> None:
+    stream = EventStream()
+    assert stream.last_id == ""
+    (event,) = stream.feed(b'id: 7f-3\nevent: log\ndata: {"msg": "warm"}\n\nevent: robots\ndata: {"rob')
+    assert (event, stream.last_id) == (Event("log", {"msg": "warm"}), "7f-3")
+    stream.begin()
+    assert list(stream.feed(WIRE)) == EVENTS
+    assert stream.last_id == "7f-3"
+
+
 def test_an_event_may_be_larger_than_any_buffer() -> None:
     stream = EventStream()
     data = b'{"robots": ["' + b"x" * 3_000_000 + b'"]}'

@@ -2,8 +2,10 @@
 
 import asyncio
 import contextlib
+import subprocess
 import tempfile
-from collections.abc import AsyncIterator
+import threading
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +21,10 @@ from hostlink.recording.black_box import MAX_DETAIL, MAX_REQUESTED, BlackBox
 from hostlink.recording.channel import ros_channel
 from hostlink.recording.drives import LastCommand
 from hostlink.recording.incident import read_incident
+from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import RingMemory
+from hostlink.recording.salvage import salvage
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, topic
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, ScriptedDevice, robot_topics
@@ -146,6 +150,44 @@ async def test_removed_robot_is_kept_while_its_incident_is_pending(tmp_path: Pat
         await expect(lambda: box.saved == 1)
         await expect(lambda: not kept(box, "robot_7"))
         assert kept(box, ROBOT)
+
+
+@pytest.mark.parametrize("is_written", [True, False])
+async def test_daemon_that_ends_while_a_file_is_written_leaves_it_to_another_process_or_writes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_written: bool
+) -> None:
+    """The file is complete, or the time was over before it: then another process writes it. Never both."""
+    begun, may_end = threading.Event(), threading.Event()
+    monkeypatch.setattr(module, "start_python", lambda _: subprocess.Popen(["true"]))
+    monkeypatch.setattr(module, "END_S", 0.05)
+    async with running(tmp_path, BlackBoxConfig(after_s=60.0)) as (_, box):
+
+        class SlowWriter(McapWriter):
+            def close(self) -> None:
+                super().close()
+                if not is_written:  # the disk is slow
+                    begun.set()
+                    assert may_end.wait(TIMEOUT_S)
+
+        monkeypatch.setattr("hostlink.recording.mcap_writer.McapWriter", SlowWriter)
+        run = box._thread.run
+
+        async def run_slowly(work: Callable[[], Path]) -> Path:
+            result = await run(work)
+            await asyncio.sleep(60.0)  # the loop does not hear of the end in time
+            return result
+
+        monkeypatch.setattr(box._thread, "run", run_slowly)
+        await box.save(ROBOT, "why")
+        await box.aclose()
+        may_end.set()
+        await expect(lambda: not box._thread.is_busy)
+        folder = box._memory.folder
+        assert folder is not None
+        found = salvage(folder)
+        assert found is not None
+        assert len(found.saved) == (0 if is_written else 1)
+        assert len(list((tmp_path / "incidents").iterdir())) == 1
 
 
 async def test_incident_of_a_killed_daemon_is_saved_by_the_next_with_its_last_commands(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ export class Events {
   private isLate = false;
   private readonly delay = new Delay();
   private attempt = new AbortController();
+  private lastId = ""; // of the newest log line: the daemon continues after it
 
   constructor(
     private readonly handlers: Handlers,
@@ -87,7 +88,8 @@ export class Events {
 
   /** Browsers use separate connections for responses without credentials: so streams leave the others free for a stop. */
   private async read(): Promise<void> {
-    const response = await request("GET", PATH, { signal: this.attempt.signal, credentials: "omit" });
+    const headers: Record<string, string> = this.lastId ? { "Last-Event-ID": this.lastId } : {};
+    const response = await request("GET", PATH, { signal: this.attempt.signal, credentials: "omit" }, headers);
     if (!response.ok || response.body === null) throw await refusalOf(response);
     this.onRole(response.headers.get("Hostlink-Role"));
     const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
@@ -104,7 +106,8 @@ export class Events {
 
   private dispatch(event: string): void {
     if (event.startsWith(":")) this.delay.note(/^: sent ([\d.]+)$/.exec(event)?.[1], performance.now());
-    const [, name, data] = /^event: (\w+)\ndata: (.*)$/.exec(event) ?? [];
+    const [, id, name, data] = /^(?:id: (.*)\n)?event: (\w+)\ndata: (.*)$/.exec(event) ?? [];
+    if (id !== undefined) this.lastId = id;
     if (name === undefined || data === undefined || !(name in this.handlers)) return; // a comment, or an event of a newer daemon
     this.handlers[name as keyof Handlers](JSON.parse(data));
   }

@@ -27,9 +27,14 @@ export async function rest<T>(method: string, path: string, body?: object, timeo
 }
 
 /** Send a request with the token of this session. */
-export function request(method: string, path: string, options: RequestInit): Promise<Response> {
+export function request(
+  method: string,
+  path: string,
+  options: RequestInit,
+  more: Record<string, string> = {},
+): Promise<Response> {
   const secret = token();
-  const headers: HeadersInit = secret ? { Authorization: `Bearer ${secret}` } : {};
+  const headers: HeadersInit = secret ? { ...more, Authorization: `Bearer ${secret}` } : more;
   return fetch(path, { method, headers, cache: "no-store", ...options });
 }
 
