@@ -82,6 +82,11 @@ class Outbox:
             or self._urgent or self._replies or self._commands
         )  # fmt: skip
 
+    @property
+    def has_urgent(self) -> bool:
+        """Whether a velocity is queued."""
+        return bool(self._urgent)
+
     def put_time(self) -> None:
         """Queue a time answer. The clock is read when the answer is sent."""
         self.is_time_due = True
