@@ -77,7 +77,9 @@ class FolderOwner:
     def _close(self) -> None:
         if self._descriptor >= 0:
             with contextlib.suppress(OSError):  # a file system without locks
-                fcntl.flock(self._descriptor, fcntl.LOCK_UN)  # a child that was just forked has a copy of the descriptor
+                fcntl.flock(
+                    self._descriptor, fcntl.LOCK_UN
+                )  # a child that was just forked has a copy of the descriptor
             os.close(self._descriptor)
             self._descriptor = -1
 
