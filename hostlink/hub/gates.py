@@ -591,7 +591,9 @@ class Gates:
                 return None
             is_next_zero = gate.is_stopping and gate.current.is_zero and drivable.sent.is_zero
             if is_next_zero and connection is not None and connection.link.session.outbox.has_urgent:
-                return None  # it would replace the zero that waits for the device, and one would arrive instead of three
+                return (
+                    None  # it would replace the zero that waits for the device, and one would arrive instead of three
+                )
             is_first = gate.is_new_device
             velocity = gate.step(now_s)
             ended = gate.pop_ended()

@@ -5,11 +5,13 @@ import errno
 import fcntl
 import os
 import threading
+import time
 from pathlib import Path
 
 NAME = ".owner"  # locked by the daemon that owns the folder; its text says which. It stays when the daemon ends
 _MAX_TEXT = 200
 _TRIES = 3
+_AGAIN_S = 0.02  # a program that asks for the owner holds the lock for an instant
 
 
 class FolderTaken(OSError):
@@ -29,6 +31,7 @@ class FolderOwner:
         self.removals = 0  # how often another program removed the folder meanwhile
         self._turn = threading.Lock()
         self._descriptor = -1
+        self._has_ended = False
 
     def claim(self) -> None:
         """Own the folder from now on; call it before each write. The folder is created, also after it was removed.
@@ -37,9 +40,11 @@ class FolderOwner:
 
         Raises:
             FolderTaken: another daemon owns it.
-            OSError: the disk failed.
+            OSError: the disk failed, or this daemon has released the folder.
         """
         with self._turn:
+            if self._has_ended:  # a thread whose daemon did not wait for it
+                raise OSError(errno.ESHUTDOWN, "this daemon has ended")
             for _ in range(_TRIES):
                 if self._descriptor >= 0 and _is_file(self._descriptor, self._folder / NAME):
                     return
@@ -51,8 +56,9 @@ class FolderOwner:
             raise FolderTaken(self._folder, "")
 
     def release(self) -> None:
-        """Leave the folder to another daemon."""
+        """Leave the folder to another daemon, for good."""
         with self._turn:
+            self._has_ended = True
             self._close()
 
     def _lock(self) -> int:
@@ -60,7 +66,9 @@ class FolderOwner:
             descriptor = os.open(self._folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
             stack.callback(os.close, descriptor)
             if not _try_lock(descriptor):
-                raise FolderTaken(self._folder, _text_of(descriptor))
+                time.sleep(_AGAIN_S)
+                if not _try_lock(descriptor):
+                    raise FolderTaken(self._folder, _text_of(descriptor))
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, self._name.encode()[:_MAX_TEXT], 0)
             stack.pop_all()
@@ -68,6 +76,10 @@ class FolderOwner:
 
     def _close(self) -> None:
         if self._descriptor >= 0:
+            with contextlib.suppress(OSError):  # a file system without locks
+                fcntl.flock(
+                    self._descriptor, fcntl.LOCK_UN
+                )  # a child that was just forked has a copy of the descriptor
             os.close(self._descriptor)
             self._descriptor = -1
 

@@ -218,7 +218,7 @@ def test_reader_that_reconnects_gets_the_lines_since_its_last_one() -> None:
             events = reader.pop()
             assert lines(events) == ["a", "b"]
             first, second = ids(events)
-        await log("c", "d")  # nobody reads
+        await log("c", "d")  # without a reader
         await asyncio.sleep(LINGER_S / 2)
         for last_id, expected in ((second, ["c", "d"]), (first, ["b", "c", "d"])):
             later = Reader(feed, last_id)

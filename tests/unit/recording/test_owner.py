@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import os
 import shutil
 from pathlib import Path
 
@@ -24,6 +25,37 @@ def test_second_owner_is_refused_with_the_name_of_the_first_until_that_one_ends(
     assert owner_of(folder) is None
     second.claim()
     assert owner_of(folder) == "daemon 8"
+
+
+def test_thread_that_claims_after_the_end_of_its_daemon_is_refused(tmp_path: Path) -> None:
+    first, second = FolderOwner(tmp_path, "daemon 7"), FolderOwner(tmp_path, "daemon 8")
+    first.claim()
+    first.release()
+    with pytest.raises(OSError, match="this daemon has ended"):
+        first.claim()
+    second.claim()
+    assert owner_of(tmp_path) == "daemon 8"
+
+
+def test_forked_child_does_not_keep_the_folder(tmp_path: Path) -> None:
+    first, second = FolderOwner(tmp_path, "daemon 7"), FolderOwner(tmp_path, "daemon 8")
+    first.claim()
+    copy = os.dup(first._descriptor)  # as a child has it until it starts its program
+    first.release()
+    second.claim()
+    os.close(copy)
+    assert owner_of(tmp_path) == "daemon 8"
+
+
+def test_question_for_the_owner_refuses_no_daemon_that_claims_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    owner = FolderOwner(tmp_path, "daemon 7")
+    with (tmp_path / NAME).open("wb") as asked:
+        fcntl.flock(asked, fcntl.LOCK_EX)
+        monkeypatch.setattr("hostlink.recording.owner.time.sleep", lambda _: fcntl.flock(asked, fcntl.LOCK_UN))
+        owner.claim()
+    assert owner_of(tmp_path) == "daemon 7"
 
 
 def test_removed_folder_belongs_to_the_first_that_claims_it_again(tmp_path: Path) -> None:
