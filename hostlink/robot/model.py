@@ -111,7 +111,7 @@ class CommandSettings(NamedTuple):
     kind: CommandKind | None = None  # None: it is recognised
     topics: tuple[str, ...] = ()  # that command it; empty: they are recognised
     odometry: str | None = None  # the topic of its pose or velocity; "": it has none; None: it is recognised
-    ignored: frozenset[str] = frozenset()  # topics that command no motion, whatever their name and type
+    ignored: frozenset[str] = frozenset()  # topics that command no motion, also if their name and type say so
     locked: frozenset[str] = frozenset()  # topics of no velocity that a lock refuses, for example of servos
     is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
     devices: tuple[str, ...] = ()  # addresses, ports and names of its devices, if it consists of several
@@ -326,7 +326,7 @@ def _commands(endpoints: Sequence[Endpoint], settings: CommandSettings) -> tuple
         return found, kind
     likely = [each for each in to_device if is_velocity(each, settings.ignored)]
     poses = [each for each in endpoints if _is_pose(each)]
-    if not likely and poses:  # what has a pose and takes a Twist is a robot, whatever the Twist's name
+    if not likely and poses:  # what has a pose and takes a Twist is a robot by any name of the Twist
         twists = (each for each in to_device if each.type_name in _TWISTS)
         likely = [each for each in twists if each.name not in settings.ignored]
     if not likely:

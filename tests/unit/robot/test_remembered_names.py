@@ -105,7 +105,7 @@ def test_two_unnamed_boards_behind_one_address_have_new_names_after_a_restart() 
     assert [daemon.connect(HERE, board()), daemon.connect(HERE, board())] == ["robot_2", "robot_3"]
 
 
-def test_name_that_the_settings_place_elsewhere_is_forgotten() -> None:
+def test_name_that_the_settings_give_another_robot_is_forgotten() -> None:
     daemon = Daemon()
     daemon.connect(HERE, board())
     daemon.addresses = {"robot_0": THERE}
