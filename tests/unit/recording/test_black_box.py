@@ -20,7 +20,7 @@ from hostlink.recording import black_box as module
 from hostlink.recording.black_box import MAX_DETAIL, MAX_REQUESTED, BlackBox
 from hostlink.recording.channel import ros_channel
 from hostlink.recording.drives import LastCommand
-from hostlink.recording.incident import read_incident
+from hostlink.recording.incident import OutOfTime, read_incident
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import RingMemory
@@ -173,7 +173,7 @@ async def test_daemon_that_ends_while_a_file_is_written_leaves_it_to_another_pro
 
         async def run_slowly(work: Callable[[], Path]) -> Path:
             await run(work)
-            raise TimeoutError  # the time is over when the file is complete, before the loop has heard of it
+            raise OutOfTime  # the time is over when the file is complete, before the loop has heard of it
 
         monkeypatch.setattr(box._thread, "run", run_slowly)
         await box.save(ROBOT, "why")
