@@ -9,6 +9,7 @@ tests/unit/robot/test_admission.py and tests/property/test_admission.py test the
 import ast
 import asyncio
 import contextlib
+import dataclasses
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -255,6 +256,8 @@ async def new_robot(way: EntryPoint, robot: Robot) -> None:
 
 
 async def resumes(way: EntryPoint, robot: Robot) -> None:
+    found = robot.made.hub.robots.find(ROBOT)
+    found.config = dataclasses.replace(found.config, resume_after_reconnect_s=5.0)  # applied when its device connects
     robot.admission.resume_after_reconnect_s = 5.0
     await way.start()
     await robot.moves()
