@@ -195,6 +195,7 @@ class Clashes(RuleBasedStateMachine):
         async def act() -> None:
             robot, velocity = self.hub.robots.find(self.names[number]), PlanarVelocity(x_m_s=speed)
             robot.unlock()
+            robot.stop()  # of two sources with the same priority the first keeps it
             epoch = robot.admission.epoch  # the driver knows that it was interrupted
             if by == "name":
                 drive_gate(robot, velocity, owner="driver", priority=MAX_PRIORITY, epoch=epoch)

@@ -75,7 +75,10 @@ def test_platformio_gets_the_path_as_it_is(tmp_path: Path, capsys: pytest.Captur
         ([""], "--only: no name is given"),
         ([" , ", ""], "--only: no name is given"),
         (["std_msg"], "no package or type named std_msg; similar names: std_msgs"),
-        (["std_msgs/String", "qqq"], "no package or type named qqq; packages are: actionlib, actionlib_msgs"),
+        (
+            ["std_msgs/String", "qqq"],
+            "no package or type named qqq; packages are: ackermann_msgs, actionlib, actionlib_msgs",
+        ),
     ],
 )
 def test_an_only_that_selects_nothing_is_refused(tmp_path: Path, only: list[str], problem: str) -> None:

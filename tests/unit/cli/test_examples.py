@@ -41,7 +41,14 @@ def whole(tmp_path: Path) -> dict[str, Any]:
 
 def _with_one_of_each(text: str, kept: str) -> str:
     """Remove settings of which a robot or a port has only one: `kept` is the way to command the robot."""
-    for alternative in ("usb_serial", 'topic = "wheel_ticks"', 'topic = "odom"', *({"command_topic"} - {kept})):
+    for alternative in (
+        "usb_serial",
+        r'devices = \["192',
+        "command_device",
+        'topic = "wheel_ticks"',
+        'topic = "odom"',
+        *({"command_topic"} - {kept}),
+    ):
         text = re.sub(rf"^(?={alternative})", "#", text, flags=re.MULTILINE)
     for table in {"wheels", "joy", "words"} - {kept}:
         text = re.sub(rf"^\[robots\.robot_0\.{table}\]\n?(?:.+\n)*", "", text, flags=re.MULTILINE)
