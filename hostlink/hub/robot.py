@@ -440,7 +440,7 @@ class LocalRobot(Drivable, AnyRobot):
 
     @property
     def devices(self) -> "tuple[Device, ...]":
-        """Its connected devices."""
+        """Connected devices of this robot."""
         return self.parts if self.connection is None else (self.connection, *self.parts)
 
     def _stop_unguarded(self) -> None:
