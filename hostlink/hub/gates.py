@@ -44,7 +44,7 @@ from hostlink.robot.velocity import ZERO, AnyVelocity, PlanarVelocity, Twist
 from hostlink.robot.velocity_gate import EndedLease, V, VelocityGate
 
 if TYPE_CHECKING:
-    from hostlink.hub.device import Device
+    from hostlink.hub.device import CommandEndpoint, Device
 
 log = structlog.get_logger()
 
@@ -243,12 +243,19 @@ class RemoteHosts(Protocol):
         """Stop the robots of this name at all other daemons; None means every robot."""
         ...
 
-    def lock(self, name: str, reason: str) -> None:
-        """Lock the robots of this name at all other daemons."""
+    def lock(self, name: str | None, reason: str) -> None:
+        """Lock the robots of this name at all other daemons; None means every robot and every board."""
         ...
 
-    async def settled(self) -> None:
-        """Wait until every daemon has answered the stops, locks and unlocks so far."""
+    def unlock_all(self) -> None:
+        """Unlock the boards of all other daemons that are locked, and the robots there that this one does not know."""
+        ...
+
+    async def settled(self) -> "list[CommandEndpoint]":
+        """Wait until every daemon has answered the stops, locks and unlocks so far.
+
+        Return their endpoints that command a motion and are not a robot's.
+        """
         ...
 
 
@@ -484,14 +491,15 @@ class Gates:
                 drivable.gate.stop(now_s=now_s)
                 self._step(drivable, now_s, is_news=True)
 
-    async def settled(self) -> None:
+    async def settled(self) -> "list[CommandEndpoint]":
         """Wait until other daemons have answered the stops, locks and unlocks so far.
+
+        Return their endpoints that command a motion and are not a robot's.
 
         Raises:
             DeviceGone: one of them has not answered.
         """
-        if self.hosts is not None:
-            await self.hosts.settled()
+        return [] if self.hosts is None else await self.hosts.settled()
 
     def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
         """Send zero at once, without the limits. Devices that it does not fit are skipped."""
