@@ -271,7 +271,7 @@ class Robots:
     def _lock_each(
         self, robots: Sequence[AnyRobot], reason: str, *, by: str | None, is_here: bool = False
     ) -> list[CommandEndpoint]:
-        """Lock robots and the boards of this daemon. `is_here`: robots of the same names elsewhere are not locked."""
+        """Lock robots and the boards here. `is_here`: robots of the same names at other daemons are not locked."""
         refusal = None
         for robot in robots:
             try:
