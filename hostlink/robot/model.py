@@ -36,6 +36,7 @@ from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 LONGEST_NAME: Final = 64  # characters of a robot's name; names are used in logs, paths and labels
 RESET_TYPE: Final = "std_msgs/Empty"
+STOP_SERVICE_TYPES: Final = ("std_srvs/Empty", "std_srvs/Trigger")  # without a field in the request
 _USUAL_NAMES: Final = ("velocity_commands", "cmd_vel")  # the likelier first
 _USUAL_POSES: Final = ("nav_msgs/Odometry", "geometry_msgs/Pose2D")
 _TWISTS: Final = (TWIST_TYPE, TWIST_STAMPED_TYPE)
@@ -116,6 +117,7 @@ class CommandSettings(NamedTuple):
     is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
     devices: tuple[str, ...] = ()  # addresses, ports and names of its devices, if it consists of several
     command_device: str | None = None  # the one that is commanded; None: the only one that takes a velocity
+    stop_service: str | None = None  # service of the device that is called with each zero, because a zero is not obeyed
 
 
 NO_SETTINGS: Final = CommandSettings()
