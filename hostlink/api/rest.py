@@ -284,8 +284,8 @@ class StoppedAllView(StoppedRobotsView):
     endpoints: list[CommandEndpointView]
 
 
-class LockedRobotView(StoppedRobotView):
-    """After the lock of a robot, also every topic of its board that commands a motion and is not a robot's."""
+class StoppedBoardView(StoppedRobotView):
+    """After a stop or a lock of a robot, also every topic of its board that commands a motion and is not a robot's."""
 
     endpoints: list[CommandEndpointView]
 
@@ -350,7 +350,7 @@ class Rest:
             Route(
                 f"{robot}/stop",
                 self._stop,
-                StoppedRobotView,
+                StoppedBoardView,
                 method="POST",
                 is_limited=False,
                 fails=(BAD_REQUEST, TOO_LARGE, UNAVAILABLE),
@@ -379,7 +379,7 @@ class Rest:
             Route(
                 f"{robot}/lock",
                 self._lock,
-                LockedRobotView,
+                StoppedBoardView,
                 method="POST",
                 request=LockRequest,
                 max_body_bytes=LOCK_BYTES,
@@ -477,7 +477,7 @@ class Rest:
         robot, since_s = self._find(request), loop_time_s()
         robot.stop(by=_caller(request))
         await self._hub.gates.settled()
-        return await self._measured(request, since_s, robot)
+        return await self._measured(request, since_s, robot, endpoints=robot.unguarded_endpoints)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
         """Stop every robot and board. Answers with the measured result after wait_s seconds at most (1.5).
@@ -548,10 +548,7 @@ class Rest:
             raise
         robot.lock(body.reason, by=_caller(request))
         await self._hub.gates.settled()
-        board = self._hub.robots.device(robot.link)
-        return await self._measured(
-            request, since_s, robot, endpoints=[] if board is None else board.unguarded_endpoints()
-        )
+        return await self._measured(request, since_s, robot, endpoints=robot.unguarded_endpoints)
 
     async def _unlock(self, request: web.Request) -> web.Response:
         """Unlock the robot."""

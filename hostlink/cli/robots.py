@@ -201,7 +201,7 @@ async def _halt(
         measured = {name: found for name, found in (await host.standstill()).items() if name in measured}
     try:
         if measured:
-            endpoints = await _of_boards(host, measured) if done else ()
+            endpoints = await _of_boards(host, measured)
             await _report(host, Stopped(measured, endpoints), done=done, is_measured=is_measured, json=json)
     finally:
         if failed:
@@ -245,9 +245,9 @@ async def _report(host: Host, measured: Stopped, *, done: str = "", is_measured:
 
 
 async def _of_boards(host: Host, robots: Collection[str]) -> list[CommandEndpoint]:
-    """Return what else the boards of these robots take that looks like a command, after a lock."""
+    """Return what else the boards of these robots take that looks like a command, after a stop or a lock."""
     devices = (await host.get("/api/devices"))["devices"]
-    return [each for device in devices if device["robot"] in robots for each in device["unguarded"]]
+    return [each for device in devices for each in device["unguarded"] if each["robot"] in robots]
 
 
 def _is_covered(robot: RobotState) -> bool:

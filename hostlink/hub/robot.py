@@ -53,7 +53,7 @@ from hostlink.robot.velocity_gate import Limits, VelocityGate
 from hostlink.robot.wheel_feedback import WheelSettings
 
 if TYPE_CHECKING:
-    from hostlink.hub.device import Device
+    from hostlink.hub.device import CommandEndpoint, Device
 
 log = structlog.get_logger()
 
@@ -267,10 +267,16 @@ class AnyRobot(VelocityTarget):
     def limited_by(self, velocity: PlanarVelocity) -> str | None:
         """Return the setting that slows a velocity down most; None if none does, or for a remote robot."""
 
+    @property
+    def unguarded_endpoints(self) -> "list[CommandEndpoint]":
+        """Return what else its devices take that looks like a command, after a stop or a lock; none of a remote one."""
+        return []
+
     @abstractmethod
     def stop(self, *, by: str | None = None) -> None:
-        """Stop the robot and all velocity topics of its link, within the deceleration limits, for every source.
+        """Stop the robot and all velocity topics of its devices, within the deceleration limits, for every source.
 
+        What else its devices take that looks like a command is sent a zero, if its type has one.
         `by` is who stops it, for refusals.
 
         Raises:
@@ -410,7 +416,10 @@ class LocalRobot(Drivable, AnyRobot):
 
     def stop_here(self, *, by: str | None = None) -> None:
         """Stop only this robot."""
-        self.gates.stop(self.beside, by=by)
+        try:
+            self.gates.stop(self.beside, by=by)
+        finally:
+            self._stop_unguarded()
 
     def lock(self, reason: str = LOCK_REASON, *, by: str | None = None) -> None:
         """Lock the robot, and robots of its name at other daemons."""
@@ -423,13 +432,26 @@ class LocalRobot(Drivable, AnyRobot):
         self.locked_link = self.link
         try:
             self.gates.lock(self.beside, shown_reason(reason), by=by)
-            for device in (self.connection, *self.parts):
-                if device is not None:
-                    device.stop_unguarded()
         finally:
+            self._stop_unguarded()
             self.on_lock(self)
             log.warning("robot.locked", robot=self.name, reason=self.gate.lock_reason)
             self.gates.events.note(EventKind.LOCKED, self.name, reason=self.gate.lock_reason)
+
+    @property
+    def devices(self) -> "tuple[Device, ...]":
+        """Its connected devices."""
+        return self.parts if self.connection is None else (self.connection, *self.parts)
+
+    def _stop_unguarded(self) -> None:
+        """Send zero to what else its devices take that looks like a command."""
+        for device in self.devices:
+            device.stop_unguarded()
+
+    @property
+    def unguarded_endpoints(self) -> "list[CommandEndpoint]":
+        """Return what else its devices take that looks like a command, after a stop or a lock."""
+        return [each for device in self.devices for each in device.unguarded_endpoints()]
 
     def unlock(self, *, by: str | None = None) -> None:
         """Admit commands again. Robots of its name at other daemons are not unlocked."""

@@ -56,8 +56,13 @@ class Daemon:
 
     @property
     def was_paused(self) -> bool:
-        """Whether this process stood still for a lease, which ends all driving."""
-        return self.hub.gates._stalls.pauses(asyncio.get_running_loop().time()).was_paused(0.0)
+        """Whether this process stood still for a lease, which ends all driving. Any thread may ask."""
+        stalls = self.hub.gates._stalls
+        try:
+            now_s = asyncio.get_running_loop().time()
+        except RuntimeError:  # another thread: the loop notices its pauses without being asked
+            return stalls.noticed.was_paused(0.0)
+        return stalls.pauses(now_s).was_paused(0.0)
 
     async def rest(self, method: str, path: str, body: bytes | None = None) -> tuple[int, Any]:
         """(status, JSON)."""

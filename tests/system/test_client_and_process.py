@@ -7,6 +7,7 @@ import pytest
 
 from hostlink.client import connect
 from hostlink.errors import HostlinkError
+from tests.support.driving import hold
 from tests.support.process import free_port, serve, simulated
 from tests.support.simulated import simulated_robot
 from tests.support.stopwatch import Stopwatch
@@ -22,7 +23,7 @@ async def test_a_daemon_that_is_killed_and_started_again_while_a_script_drives()
         await first.read_log("robot.appeared")
         async with connect(first.url) as me:
             changes, robot = me.connection(), me.robot("robot_0")
-            await robot.drive(0.2, 0.0)
+            await hold(robot, 0.2, 0.0)
             await expect(lambda: body.speed_m_s > 0.02)
             odometry = robot.odometry()
             await anext(odometry)
@@ -41,7 +42,7 @@ async def test_a_daemon_that_is_killed_and_started_again_while_a_script_drives()
                     await anext(odometry)
                 assert (await robot.state())["holder"] is None
                 assert abs(body.speed_m_s) < 0.005
-                await robot.drive(0.1, 0.0)  # the loss was told by the drive before
+                await hold(robot, 0.1, 0.0)  # the loss was told by the drive before
                 await expect(lambda: body.speed_m_s > 0.02)
 
 
@@ -50,7 +51,7 @@ async def test_script_that_did_not_run_for_a_while_stays_connected_and_repeats_n
         await daemon.read_log("robot.appeared")
         async with connect(daemon.url) as me:
             changes, robot = me.connection(), me.robot("robot_0")
-            await robot.drive(0.2, 0.0)
+            await hold(robot, 0.2, 0.0)
             time.sleep(0.9)  # noqa: ASYNC251 - what the test is about
             await expect(lambda: not robot.is_driven)
             with pytest.raises(HostlinkError, match=r"this program did not run, or could not send, for \d\.\d s"):

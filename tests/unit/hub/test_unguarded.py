@@ -2,13 +2,16 @@
 
 import asyncio
 import struct
+from collections.abc import Callable
 
 import pytest
 
 from hostlink.config import Config, RobotConfig, WheelsConfig
-from hostlink.errors import CommandRefused, RefusalKind
+from hostlink.errors import CommandRefused, FrameTooLarge, RefusalKind
+from hostlink.hub.robot import LocalRobot
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
+from hostlink.robot.velocity import TWIST_TYPE
 from tests.support.fake_device import robot_topics, topic
 from tests.support.memory_hub import SETTLED_S, MemoryHub, in_hub
 from tests.support.participants import publish
@@ -91,6 +94,37 @@ def test_lock_of_all_survives_a_reconnection_and_holds_for_what_connects_later()
             publish(made.hub, "/left_motor", NUMBER, type_name="std_msgs/Int16")
         await made.connect(address="10.0.0.3")
         assert made.robot().gate.lock_reason == "a foot"
+
+    in_hub(test)
+
+
+def test_stop_of_a_robot_sends_zero_to_what_else_its_board_takes_and_to_no_other_board() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect([*robot_topics(), *board()])
+        other = await made.connect(board("/right_motor"), address="10.0.0.3")
+        for name in ("/left_motor", "/right_motor"):
+            await send(made, name, "std_msgs/Int16", NUMBER)
+        made.robot().stop()
+        await asyncio.sleep(SETTLED_S)
+        assert device.payloads(LEFT) == [NUMBER, ZERO]
+        assert other.payloads(LEFT) == [NUMBER]
+        assert [each.topic for each in made.robot().unguarded_endpoints] == ["/left_motor"]
+
+    in_hub(test)
+
+
+@pytest.mark.parametrize("stop", [LocalRobot.stop, LocalRobot.lock])
+def test_zero_of_a_robot_that_does_not_fit_keeps_no_zero_from_the_rest_of_its_board(
+    stop: Callable[[LocalRobot], None],
+) -> None:
+    async def test(made: MemoryHub) -> None:
+        velocity = topic(Id.SUBSCRIBER, TWIST, "/robot_0/cmd_vel", TWIST_TYPE, buffer_bytes=16)
+        device = await made.connect([velocity, *board()])
+        await send(made, "/left_motor", "std_msgs/Int16", NUMBER)
+        with pytest.raises(FrameTooLarge):
+            stop(made.robot())
+        await asyncio.sleep(SETTLED_S)
+        assert device.payloads(LEFT) == [NUMBER, ZERO]
 
     in_hub(test)
 

@@ -31,6 +31,17 @@ def test_queued_frames_leave_in_order_of_priority() -> None:
     assert outbox.wait_s(0.0) is None
 
 
+def test_a_queued_velocity_is_told_from_other_frames() -> None:
+    outbox = Outbox()
+    outbox.put_command(100, b"command")
+    outbox.put_time()
+    assert not outbox.has_urgent
+    outbox.put_urgent(101, b"velocity")
+    assert outbox.has_urgent
+    drain(outbox)
+    assert not outbox.has_urgent
+
+
 def test_queued_command_is_replaced_by_a_newer_one_of_its_topic() -> None:
     outbox = Outbox()
     for text in (b"old", b"new"):

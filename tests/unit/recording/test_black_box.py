@@ -20,7 +20,7 @@ from hostlink.recording import black_box as module
 from hostlink.recording.black_box import MAX_DETAIL, MAX_REQUESTED, BlackBox
 from hostlink.recording.channel import ros_channel
 from hostlink.recording.drives import LastCommand
-from hostlink.recording.incident import read_incident
+from hostlink.recording.incident import OutOfTime, read_incident
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import RingMemory
@@ -157,25 +157,23 @@ async def test_daemon_that_ends_while_a_file_is_written_leaves_it_to_another_pro
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_written: bool
 ) -> None:
     """The file is complete, or the time was over before it: then another process writes it. Never both."""
-    begun, may_end = threading.Event(), threading.Event()
+    may_end = threading.Event()
     monkeypatch.setattr(module, "start_python", lambda _: subprocess.Popen(["true"]))
-    monkeypatch.setattr(module, "END_S", 0.05)
+    monkeypatch.setattr(module, "END_S", TIMEOUT_S if is_written else 0.05)
     async with running(tmp_path, BlackBoxConfig(after_s=60.0)) as (_, box):
 
         class SlowWriter(McapWriter):
             def close(self) -> None:
                 super().close()
                 if not is_written:  # the disk is slow
-                    begun.set()
                     assert may_end.wait(TIMEOUT_S)
 
         monkeypatch.setattr("hostlink.recording.mcap_writer.McapWriter", SlowWriter)
         run = box._thread.run
 
         async def run_slowly(work: Callable[[], Path]) -> Path:
-            result = await run(work)
-            await asyncio.sleep(60.0)  # the loop does not hear of the end in time
-            return result
+            await run(work)
+            raise OutOfTime  # the time is over when the file is complete, before the loop has heard of it
 
         monkeypatch.setattr(box._thread, "run", run_slowly)
         await box.save(ROBOT, "why")
