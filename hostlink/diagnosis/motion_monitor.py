@@ -125,11 +125,10 @@ class MotionMonitor:
             self._past.popleft()
 
     def evidence(self, now_s: float) -> MotionEvidence:
-        """Return the evidence of the last RECENT_S."""
+        """Return the evidence of the RECENT_S before the last sample, and of what came since."""
         counts = Counter(self._now)
-        for at_s, each in self._past:
-            if at_s > now_s - RECENT_S:
-                counts.update(each)
+        for _, each in self._past:
+            counts.update(each)
         text, at_s = self._disagreement
         disagreement = text if now_s - at_s < RECENT_S else ""
         return MotionEvidence(self.topic, self._total, counts, self.frame_id, disagreement)

@@ -511,8 +511,7 @@ class Gates:
             for drivable in drivables:
                 self.note_end(drivable, missing)
         for admission in {drivable.admission for drivable in drivables}:
-            if admission.missing != missing:
-                admission.note_missing(missing, now_s)
+            admission.note_missing(missing, now_s)
         for drivable in drivables:
             if missing and drivable.gate.may_move:
                 drivable.gate.stop(now_s=now_s)

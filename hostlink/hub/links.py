@@ -267,7 +267,7 @@ class Links:
         found = []
         for number, device in self._devices.items():
             link = device.link
-            settings = self._directory.settings_for(device.endpoints, address=link.address, peer=link.peer)
+            settings = self._directory.find(device.endpoints, Origin("", link.address, link.peer))[1]
             if device.infos and settings != device.settings:
                 found.append(number)
         return found

@@ -589,12 +589,13 @@ class Admission:
 
     def note_missing(self, missing: str, now_s: float) -> None:
         """Note why a robot of several devices cannot be driven; empty: all are connected, which is an interruption."""
-        was_missing, self.missing = self.missing, missing
+        if missing == self.missing:
+            return
+        self.missing = missing
         if missing:
             self._end_all_drives(now_s)
-        elif was_missing:
+        else:
             self.interrupt(now_s, by="a reconnection of one of its devices")
-            self._drop_holds()
             for source in self._sources.values():
                 source.has_lost_device = False
 

@@ -212,15 +212,12 @@ def is_velocity(endpoint: Endpoint, ignored: frozenset[str] = frozenset()) -> bo
 def unguarded(
     endpoints: Sequence[Endpoint],
     settings: CommandSettings = NO_SETTINGS,
-    guarded: Collection[str] | None = None,
+    guarded: Collection[str] = (),
 ) -> list[Endpoint]:
     """Return the endpoints that look like commands of a motion, and that nothing guards.
 
-    `guarded`: names of the topics that have a gate; None: those that the model gives one.
+    `guarded`: names of the topics that have a gate.
     """
-    if guarded is None:
-        guarded = {topic.name for topic in _commands(endpoints, settings)[0]}
-        guarded |= {each.name for each in endpoints if is_velocity(each, settings.ignored)}
     passed = {*guarded, *settings.ignored, *settings.locked}
     return [
         each

@@ -63,6 +63,19 @@ def test_stamps_of_zero_before_the_first_time_answer_are_not_a_finding() -> None
     assert found(monitor, 5.0) == {}
 
 
+def test_poses_that_are_missing_are_named_with_their_counts_for_half_a_minute() -> None:
+    monitor = monitored(("not_finite", "zero_stamp"), 3)
+    monitor.observe(("zero_quaternion",), 0.5)
+    monitor.sample(1.0)
+    text = "3 poses with NaN or infinity, 1 orientations that are four zeros"
+    assert monitor.evidence(1.0).without_pose == text
+    monitor.sample(0.9 + RECENT_S)
+    assert monitor.evidence(0.9 + RECENT_S).without_pose == text
+    monitor.sample(1.0 + RECENT_S)
+    assert monitor.evidence(1.0 + RECENT_S).without_pose == ""
+    assert monitored(("zero_stamp",)).evidence(1.0).without_pose == ""
+
+
 def test_heading_in_z_that_passes_zero_is_one_finding() -> None:
     monitor = monitored(("zero_quaternion",), 10)
     for _ in range(5):

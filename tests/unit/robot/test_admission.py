@@ -420,6 +420,49 @@ def test_source_that_let_go_while_the_device_was_away_is_armed(driven: Timeline)
     assert driven.command().is_admitted
 
 
+MISSING = "its device 10.0.0.3 is not connected"
+
+
+def test_robot_that_lacks_a_device_is_not_driven_and_says_which(driven: Timeline) -> None:
+    driven.admission.note_missing(MISSING, driven.now_s)
+    assert driven.driver() is None
+    assert not driven.admission.is_held(driven.now_s)
+    refusal = driven.command(source="eve")
+    assert (refusal.kind, refusal.reason) == (RefusalKind.NOT_CONNECTED, f"robot_0: {MISSING}")
+    assert driven.command(ZERO).is_admitted  # the device that is commanded is there
+
+
+@pytest.mark.parametrize("away_s", [0.1, LEASE_S, 60.0])
+def test_source_that_drove_when_a_device_of_the_robot_left_must_let_go(driven: Timeline, away_s: float) -> None:
+    driven.admission.note_missing(MISSING, driven.now_s)
+    driven.wait(away_s)
+    driven.admission.note_missing("", driven.now_s)
+    refusal = driven.command()
+    assert refusal.kind is RefusalKind.DISARMED
+    assert "a reconnection of one of its devices" in refusal.reason
+    assert driven.command(source="eve").is_admitted
+    assert driven.command(ZERO, source="eve").is_admitted
+    driven.wait(LEASE_S)
+    assert driven.command().is_admitted
+    driven.wait(LEASE_S)
+    driven.admission.note_missing(MISSING, driven.now_s)  # while nobody drives
+    driven.admission.note_missing("", driven.now_s)
+    assert driven.command().is_admitted
+
+
+def test_source_that_let_go_while_a_device_of_the_robot_was_away_is_armed(driven: Timeline) -> None:
+    driven.admission.note_missing(MISSING, driven.now_s)
+    assert driven.command(ZERO).is_admitted
+    driven.admission.note_missing("", driven.now_s)
+    assert driven.command().is_admitted
+
+
+def test_robot_that_still_has_all_its_devices_is_not_interrupted(driven: Timeline) -> None:
+    epoch = driven.admission.epoch
+    driven.admission.note_missing("", driven.now_s)
+    assert (driven.driver(), driven.admission.epoch) == ("ann", epoch)
+
+
 @pytest.mark.parametrize(("away_s", "kind"), [(2.5, None), (3.0, RefusalKind.DISARMED)])
 def test_source_continues_after_an_absence_within_resume_after_reconnect(
     away_s: float, kind: RefusalKind | None

@@ -1,6 +1,7 @@
 """Feedback: which topics tell how a robot moves, and what wheels make of them."""
 
 import contextlib
+import itertools
 import math
 import random
 import struct
@@ -81,6 +82,12 @@ def test_feedback_of_several_poses_is_the_one_named_odom() -> None:
     assert recognised([("a", ODOMETRY_TYPE), ("z/odom", ODOMETRY_TYPE)]) == ("z/odom", ODOMETRY_TYPE)
 
 
+def test_feedback_is_the_best_topic_in_any_order() -> None:
+    best, others = ("odom", ODOMETRY_TYPE), [("speed", "geometry_msgs/Twist"), ("pose", "geometry_msgs/Pose2D")]
+    for offered in itertools.permutations([best, *others]):
+        assert recognised(offered) == best
+
+
 def test_feedback_named_by_the_settings_is_taken_or_its_lack_is_named() -> None:
     offered = [("odom", ODOMETRY_TYPE), ("/v", "geometry_msgs/Twist"), ("text", "std_msgs/String")]
     assert Feedback(offered, FeedbackSettings(topic="v"), DRIVE).topics == (("/v", "geometry_msgs/Twist"),)
@@ -102,6 +109,18 @@ def test_feedback_of_a_heading_in_z_makes_no_pose_when_it_passes_one() -> None:
     assert pose_of(z=1.0) is None
     assert pose_of(w=1.0) == Pose()
     assert pose_of(z=1.0) == Pose(theta_rad=math.pi)
+    assert pose_of(z=0.9) is None
+    feedback.restart()  # the board may have another program now
+    assert pose_of(z=1.0) == Pose(theta_rad=math.pi)
+
+
+def test_feedback_that_the_board_integrates_is_reset_by_the_board_alone() -> None:
+    feedback = Feedback([("p", "geometry_msgs/Pose2D")], RECOGNISED, DRIVE)
+    feedback.reset_pose()
+    reading = feedback.read("p", struct.pack("<3d", 1.5, 0.0, 0.0), now_s=0.0)
+    assert reading is not None
+    assert reading.pose == Pose(1.5)
+    assert feedback.restarts == 0
 
 
 # -- counts -----------------------------------------------------------------------------------------------------------
@@ -369,6 +388,42 @@ def test_damaged_payloads_raise_nothing_but_bad_payload(data: bytes) -> None:
             is_message = False
         with contextlib.suppress(BadPayload) if is_message else pytest.raises(BadPayload):
             feedback.read("t", data, now_s=0.0)  # a message may have too few wheels
+
+
+@pytest.mark.parametrize(
+    ("type_name", "payload", "problem"),
+    [
+        ("std_msgs/Float32", struct.pack("<f", math.nan), "a value that is not finite"),
+        ("std_msgs/Float32", struct.pack("<f", math.inf), "a value that is not finite"),
+        ("std_msgs/Float32MultiArray", struct.pack("<3If", 0, 0, 1, 0.5), "1 values for 2 wheels"),
+        ("std_msgs/Float32MultiArray", struct.pack("<3I2f", 0, 0, 3, 0.5, 0.5), "3 elements need 24"),
+        ("std_msgs/Float32MultiArray", struct.pack("<2I", 65, 0), "65 elements; at most 64 are read"),
+        (JOINT_STATE_TYPE, joints(["a", "b"], [1.0, 1.0], [1.0, 1.0]) + b"x", "the message ends after 74"),
+        (JOINT_STATE_TYPE, joints(["a", "b"], [], [math.nan, 1.0]), "a value that is not finite"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_damaged_wheels_are_named_and_leave_the_pose_as_it_was(type_name: str, payload: bytes, problem: str) -> None:
+    is_scalar = type_name == "std_msgs/Float32"
+    joint_names = ("a", "b") if type_name == JOINT_STATE_TYPE else ()
+    where = {"topics": ("t", "u")} if is_scalar else {"topic": "t", "joints": joint_names}
+    good = {
+        "std_msgs/Float32": struct.pack("<f", 0.2),
+        "std_msgs/Float32MultiArray": struct.pack("<3I3f", 0, 0, 3, 0.2, 0.2, math.nan),  # the third is not a wheel
+        JOINT_STATE_TYPE: joints(["a", "b"], [], [0.2, 0.2]),
+    }[type_name]
+    feedback = Feedback([("t", type_name), ("u", type_name)], encoders(**where, unit="m/s"), DRIVE)
+
+    def read(now_s: float) -> Pose | None:
+        for topic, _ in feedback.topics:
+            reading = feedback.read(topic, good, now_s=now_s)
+        assert reading is not None
+        return reading.pose
+
+    read(0.0)
+    with pytest.raises(BadPayload, match=problem):
+        feedback.read("t", payload, now_s=0.5)
+    assert read(1.0) == pytest.approx(Pose(0.2), abs=1e-6)
 
 
 def test_restarts_at_any_time_move_the_robot_by_no_more_than_a_hand() -> None:

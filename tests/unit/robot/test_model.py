@@ -10,12 +10,14 @@ from hostlink.robot.model import (
     CommandSettings,
     Endpoint,
     RobotTopicNames,
+    Role,
     actuators,
     find_robot,
     is_velocity,
     leaf_of,
     name_of,
     namespace_of,
+    roles,
     select,
     suggestion,
     unguarded,
@@ -57,7 +59,7 @@ def names(endpoints: list[Endpoint]) -> list[str]:
 def test_a_twist_whose_name_tells_of_motion_is_a_command(name: str, type_name: str) -> None:
     robot = found(to(name, type_name))
     assert (robot.velocity, robot.velocity_type, robot.kind) == (name, type_name, CommandKind.TWIST)
-    assert unguarded([to(name, type_name)]) == []
+    assert is_velocity(to(name, type_name))
 
 
 @pytest.mark.parametrize("type_name", [ACKERMANN, ACKERMANN_STAMPED])
@@ -299,7 +301,35 @@ def test_the_command_of_a_robot_is_neither_unguarded_nor_an_actuator() -> None:
     settings = CommandSettings(CommandKind.WHEELS, ("joints",))
     endpoints = [to("joints", JOINT_STATE_TYPE), to("servo", INT16), to("motor", INT16), to("arm_vel")]
     assert names(actuators(endpoints, settings)) == ["servo"]
-    assert names(unguarded(endpoints, settings)) == ["motor"]
+    assert names(unguarded(endpoints, settings, guarded=["joints", "arm_vel"])) == ["motor"]
+
+
+def test_every_topic_has_one_role_of_which_the_command_precedes() -> None:
+    settings = CommandSettings(ignored=frozenset({"motor_debug"}), locked=frozenset({"arm_servo"}))
+    endpoints = [
+        to("cmd_vel"),
+        to("raw_cmd_vel"),
+        to("motor", INT16),
+        to("motor_debug", INT16),
+        to("arm_servo", INT16),
+        to("gripper", INT16),
+        to("led", "std_msgs/ColorRGBA"),
+        sent("odom"),
+        sent("motor", INT16),
+    ]
+    guarded = ["cmd_vel", "raw_cmd_vel"]
+    found = roles(endpoints, settings, commands=["cmd_vel"], guarded=guarded, feedback=["odom"])
+    assert [(each.name, role) for each, role in found] == [
+        ("cmd_vel", Role.COMMAND),
+        ("raw_cmd_vel", Role.VELOCITY),
+        ("motor", Role.UNGUARDED),
+        ("motor_debug", Role.IGNORED),
+        ("arm_servo", Role.LOCKED),
+        ("gripper", Role.ACTUATOR),
+        ("led", Role.DATA),
+        ("odom", Role.FEEDBACK),
+        ("motor", Role.DATA),  # what the board sends under that name commands nothing
+    ]
 
 
 # -- suggestions ------------------------------------------------------------------------------------------------------
@@ -365,6 +395,11 @@ def test_suggestion_for_each_type() -> None:
         }
     for type_name in NUMBER_TYPES:
         assert suggested(to("motor", type_name)) == {"wheels": {"topics": ["motor"], "unit": "pwm"}}
+
+
+def test_suggestion_for_a_robot_lets_its_lock_refuse_the_topics_and_keeps_its_command() -> None:
+    text = suggestion([to("motor", INT16), to("target", TWIST)], "a", "10.0.0.1", is_robot=True)
+    assert tomllib.loads(text) == {"robots": {"a": {"locked_topics": ["motor", "target"]}}}
 
 
 def test_suggestion_for_what_cannot_be_encoded_lets_a_lock_refuse_it() -> None:
