@@ -60,6 +60,9 @@ A command without the current epoch is from before a stop if it has waited, here
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
 A pause counts from its beginning.
 
+A lease without a command is one of the source's own making: from the arrival of a command to the earliest time at which
+the next one may have been sent. A network or a daemon that delays commands makes none.
+
 An interruption increments the epoch. Answers to commands carry the epoch, so that a program can say that it has seen
 the interruption. A reconnection disarms the sources that were driving when the device left, too. A reconnection within
 `resume_after_reconnect_s` is not an interruption.
@@ -287,13 +290,13 @@ class Admission:
             self._note_unrecorded(now_s, now_s)
             reason = f"more than {MAX_SOURCES} sources command this robot at once; stop some of them"
             return self._refuse(RefusalKind.CROWDED, reason)
-        if now_s >= source.commanded_s + self.lease_s:
-            source.arm()
+        waited_s = source.waited_s(command, now_s)
+        if now_s - max(waited_s, 0.0) >= source.commanded_s + self.lease_s:
+            source.arm()  # it let go
         source.commanded[topic] = now_s
         joined = self._joined.pop(owner, None)
         if joined is not None and command.epoch is None:
             command = command._replace(epoch=joined.pop_epoch(command.received_s))
-        waited_s = source.waited_s(command, now_s)
         if command.epoch is None:
             is_earlier = now_s - waited_s < self._stopped_s - UNORDERED_S
         else:

@@ -116,7 +116,7 @@ class History(RuleBasedStateMachine):
         drive = self.drives.get(topic)
         if drive is not None and (drive.source == owner or self.now_s >= drive.at_s + LEASE_S):
             drive = None
-        if heard.has_let_go(self.now_s):
+        if heard.has_let_go(self.now_s - waited_s):
             heard.was_interrupted = heard.has_missed = heard.was_taken_over = False
             heard.commanded_s = {}
         if seen == 0 or (seen is None and self.now_s - waited_s < self.stopped_s - UNORDERED_S):

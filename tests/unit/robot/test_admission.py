@@ -156,6 +156,34 @@ def test_disarmed_source_after_a_lease_of_silence_is_admitted(driven: Timeline, 
     assert driven.command().is_admitted
 
 
+def test_silence_that_only_this_daemon_made_arms_nothing(driven: Timeline) -> None:
+    """A busy daemon reads late: what it reads after a lease was sent within the lease."""
+    driven.stop()
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command(waited_s=0.2).kind is RefusalKind.DISARMED
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command(waited_s=0.1).is_admitted
+
+
+def test_silence_that_only_the_network_made_arms_nothing(robot: Timeline) -> None:
+    """After a gap of the network come the commands of the gap, the newest of which is as quick as those before it."""
+    for sent_s in (7.0, 7.1, 7.2):
+        assert robot.command(sent_s=sent_s).is_admitted
+        robot.wait(0.1)
+    robot.stop()
+    robot.wait(1.05)
+    kinds = [robot.command(sent_s=7.3 + number / 10).kind for number in range(11)]
+    assert kinds == [RefusalKind.LATE] * 6 + [RefusalKind.DISARMED] * 5
+    robot.wait(LEASE_S + 0.1)
+    assert robot.command(sent_s=8.4 + LEASE_S).is_admitted
+
+
+def test_silence_before_a_command_of_the_future_is_not_longer(driven: Timeline) -> None:
+    driven.stop()
+    driven.wait(LEASE_S - 0.1)
+    assert driven.command(waited_s=-1.0).kind is RefusalKind.DISARMED
+
+
 @pytest.mark.parametrize("interrupt", interruptions())
 def test_quiet_source_after_an_interruption_is_admitted(driven: Timeline, interrupt: object) -> None:
     interrupt(driven)  # type: ignore[operator]
