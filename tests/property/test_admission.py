@@ -220,7 +220,9 @@ class History(RuleBasedStateMachine):
             case "stop":
                 came_s = self.now_s - ticks % 8 * TICK_S  # the loop may be late
                 self.admission.interrupt(self.now_s, came_s=came_s)
-                self.stopped_s, is_one = max(self.stopped_s, came_s), True
+                self.stopped_s, is_one = max(self.stopped_s, came_s), False
+                self.interruption(came_s)
+                epoch += 1
             case "pause":
                 began_s = self.now_s
                 self.now_s += ticks * TICK_S
