@@ -355,6 +355,8 @@ class Gates:
                     self._note_stop(drivable, NOT_TAKEN, str(driver))
                 raise refusal
         except HostlinkError as error:
+            if gate.driver is not None and gate.admission.driver(gate, loop_time_s()) is None:
+                self._step(drivable, loop_time_s(), is_news=True)  # the command has ended the drive of its source
             if not (velocity.is_zero and command.is_planar):
                 self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
             raise

@@ -411,7 +411,7 @@ class RemoteRobot(AnyRobot):
     _velocities: frozenset[tuple[str, str]] = frozenset()
 
     def __post_init__(self) -> None:
-        self.admission = Admission(self.name, epoch=secrets.randbits(EPOCH_BITS))
+        self.admission = Admission(self.name, epoch=secrets.randbits(EPOCH_BITS), sees_bunches=False)
         self._node = Node(f"{self.name} at {self.host}")
 
     def state(self, now_s: float) -> RobotState:

@@ -26,6 +26,7 @@ class Heard:
     """Commands of one source since it joined."""
 
     commanded_s: list[float] = field(default_factory=list)  # of every non-zero command since the last zero
+    sent_s: list[float] = field(default_factory=list)  # earliest time at which each of them may have been sent
     interrupted_s: float | None = None  # the last interruption that met it while it was commanding
     has_seen: bool = False  # its last command had the current epoch
     has_missed: bool = False  # its last command had another epoch, or came before an interruption
@@ -33,14 +34,21 @@ class Heard:
     priority: int = 0
     has_lost_device: bool = False  # it was commanding when the device left
 
-    def is_armed(self, now_s: float) -> bool:
-        """Whether it has let go, or has seen the interruption, since the last one."""
+    def is_armed(self, sent_s: float) -> bool:
+        """Whether it has let go, or has seen the interruption, since the last one, and before what was sent then."""
         if self.interrupted_s is None and not self.has_missed:
             return True
-        times = [self.interrupted_s, *self.commanded_s] if self.interrupted_s is not None else list(self.commanded_s)
-        since = [at_s for at_s in times if at_s is not None and at_s <= now_s]
-        gaps = [after - before for before, after in zip(since, [*since[1:], now_s], strict=True)]
+        gaps = [after - before for before, after in zip(self.commanded_s, [*self.sent_s[1:], sent_s], strict=True)]
         return self.has_seen or any(gap >= LEASE_S for gap in gaps)
+
+    def note(self, sent_s: float, now_s: float) -> None:
+        """Note a non-zero command."""
+        self.commanded_s.append(now_s)
+        self.sent_s.append(sent_s)
+
+    def forget(self) -> None:
+        """Forget all commands."""
+        self.commanded_s, self.sent_s = [], []
 
 
 class Drive(NamedTuple):
@@ -108,8 +116,9 @@ class History(RuleBasedStateMachine):
         waited_s = waited * TICK_S
         holders = {other for other, each in self.sources.items() if other != owner and self.now_s < each.held_until_s}
         strongest = max((self.sources[other].priority for other in holders), default=0)
-        if heard.is_armed(self.now_s):
-            heard.interrupted_s, heard.has_missed, heard.commanded_s = None, False, []
+        if heard.is_armed(self.now_s - waited_s):
+            heard.interrupted_s, heard.has_missed = None, False
+            heard.forget()
         if seen == 0 or (seen is None and self.now_s - waited_s < self.stopped_s - UNORDERED_S):
             heard.has_missed = True
         expected = None
@@ -125,12 +134,12 @@ class History(RuleBasedStateMachine):
             if seen is not None:
                 heard.has_seen, heard.has_missed = bool(seen), not seen
                 heard.interrupted_s = None if seen else heard.interrupted_s
-            if not seen and (heard.has_missed or not heard.is_armed(self.now_s)):
+            if not seen and (heard.has_missed or not heard.is_armed(self.now_s - waited_s)):
                 expected = RefusalKind.DISARMED
             elif priority < strongest:
                 expected = RefusalKind.HELD
         heard.has_seen = False
-        heard.commanded_s.append(self.now_s)
+        heard.note(self.now_s - waited_s, self.now_s)
         received_s = self.now_s - waited_s
         command = Command(velocity, owner, priority, received_s, None, epoch, stamp_age_s, is_planar)
         decision = self.admission.decide(command, self.now_s, topic=topic)
@@ -176,7 +185,9 @@ class History(RuleBasedStateMachine):
         for heard in self.sources.values():
             last_s = max(heard.commanded_s, default=float("-inf"))
             if heard.has_lost_device or since_s < last_s + LEASE_S:
-                heard.interrupted_s, heard.commanded_s, heard.has_missed = self.now_s, [self.now_s], False
+                heard.interrupted_s, heard.has_missed = self.now_s, False
+                heard.forget()
+                heard.note(self.now_s, self.now_s)
 
     @rule(event=st.sampled_from(["stop", "pause", "lock", "unlock", "connect", "disconnect"]), ticks=st.integers(5, 40))
     def robot_is_interrupted(self, event: str, ticks: int) -> None:
@@ -185,7 +196,9 @@ class History(RuleBasedStateMachine):
             case "stop":
                 came_s = self.now_s - ticks % 8 * TICK_S  # the loop may be late
                 self.admission.interrupt(self.now_s, came_s=came_s)
-                self.stopped_s, is_one = max(self.stopped_s, came_s), True
+                self.stopped_s, is_one = max(self.stopped_s, came_s), False
+                self.interruption(came_s)
+                epoch += 1
             case "pause":
                 began_s = self.now_s
                 self.now_s += ticks * TICK_S
