@@ -180,7 +180,9 @@ async def test_the_page_shows_what_is_known_of_the_motion_and_no_zero_that_was_n
         pose, card = tab.page.locator("#pose"), tab.page.locator("#robots .robot").first
         await shown(server, tab, feedback="none", odometry=None, odometry_topic=None, command_type="sensor_msgs/Joy")
         await tab.shows("#pose", "no odometry")
-        await expect_page(card).to_contain_text("commanded by Joy · cannot be measured")
+        await expect_page(card).to_contain_text("commanded by Joy")
+        await expect_page(card).to_contain_text("no odometry")
+        await expect_page(tab.page.locator("#odometry-reset")).to_be_disabled()
         await tab.shows("[data-tile=rate]", "none")
         assert "0.0" not in await pose.inner_text()
         await tab.page.screenshot(path=PICTURES / "page-no-odometry.png")
