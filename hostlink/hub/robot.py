@@ -401,7 +401,7 @@ class LocalRobot(Drivable, AnyRobot):
 
     @property
     def _unreachable(self) -> str | None:
-        """Why it cannot be driven or stopped although its device is connected; None if it can."""
+        """Return why it cannot be driven or stopped although its device is connected; None if it can."""
         if self.connection is None:
             return self.refusals.cause
         return self.refusals.cause or self.admission.missing or self.no_stop or None
