@@ -328,7 +328,6 @@ def numbers(*topics: str, type_name: str = INT16) -> list[Endpoint]:
             ["motor_traction_left", "motor_traction_right", "control_mode"],
             ["motor_traction_left", "motor_traction_right"],
         ),
-        (["throttle", "steering"], ["throttle"]),
         (["steering"], ["steering"]),
         (["motor1", "motor2"], ["motor1", "motor2"]),
     ],
@@ -365,6 +364,19 @@ def test_suggestion_for_each_type() -> None:
         }
     for type_name in NUMBER_TYPES:
         assert suggested(to("motor", type_name)) == {"wheels": {"topics": ["motor"], "unit": "pwm"}}
+
+
+def test_suggestion_for_a_car_and_for_a_vector() -> None:
+    car = {"throttle": {"topics": ["esc_speed", "steer_cmd"], "unit": "pwm"}}
+    assert suggested(*numbers("steer_cmd", "esc_speed")) == car
+    assert suggested(*numbers("throttle", "steering")) == {
+        "throttle": {"topics": ["throttle", "steering"], "unit": "pwm"}
+    }
+    assert suggested(*numbers("steer_cmd", "left_motor", "right_motor")) == {
+        "wheels": {"topics": ["left_motor", "right_motor"], "unit": "pwm"}
+    }
+    vector = {"vector": {"topic": "cmd", "fields": ["x", "y", "yaw"]}}
+    assert suggested(to("cmd", "geometry_msgs/Vector3")) == vector
 
 
 def test_suggestion_for_what_cannot_be_encoded_lets_a_lock_refuse_it() -> None:
