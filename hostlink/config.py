@@ -354,6 +354,7 @@ class RobotConfig:
     words: WordsConfig | None = None
     not_commands: tuple[str, ...] = ()  # topics that command no motion, with any name and type
     locked_topics: tuple[str, ...] = ()  # further topics that a lock refuses, for example of servos
+    stop_service: str | None = None  # std_srvs/Empty or Trigger of the device that is called with each zero
     # What tells of its motion; without either it is recognised.
     encoders: EncodersConfig | None = None
     feedback: FeedbackConfig = field(default_factory=FeedbackConfig)

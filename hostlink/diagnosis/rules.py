@@ -35,6 +35,7 @@ FASTEST_RATE = 1.18  # of an oscillator that is not trimmed: 10 %, and some for 
 CRYSTAL_RATES = (4 / 3, 3 / 2, 2.0)  # a board of 16 or 12 MHz with a program for 12 or 8; 5/4 would be every 2 s
 CRYSTAL_ERROR = 0.03  # of the interval, with a turn of the device's loop
 CLOCK_INTERVALS = 3  # the median of three tolerates one outlier
+WHEEL_CODES = ("wheel_stalled", "wheel_runaway")
 WHEEL_S = 600.0  # a wheel shows its fault only while it is driven, and a person may be repairing it
 WEAK_DBM = -80  # same limit as firmware/esp8266: below it packets are lost and sent again
 FLAWED = 3  # messages: one may be damage that the checksum let pass
@@ -284,6 +285,8 @@ def _odometry_jumps(evidence: Evidence) -> str | None:
 
 
 def _odometry_disagrees(evidence: Evidence) -> str | None:
+    if any(evidence.complaints[code].ago_s < WHEEL_S for code in WHEEL_CODES if code in evidence.complaints):
+        return None  # the device has named the wheel, and has switched its motors off
     return evidence.motion.disagreement or None
 
 

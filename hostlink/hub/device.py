@@ -139,6 +139,7 @@ class CommandEndpoint(NamedTuple):
     is_guarded: bool
     is_locked: bool
     reason: str = ""
+    host: str | None = None  # name of its daemon; None for this one
 
 
 class Device:

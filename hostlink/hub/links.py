@@ -209,7 +209,8 @@ class Links:
 
     def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
         service = device.services.get(event.service.name)
-        if service is None or not service.answered(event.payload):
+        is_answered = service is not None and service.answered(event.payload)
+        if not is_answered and event.service.name != device.settings.stop_service:  # nobody waits for that of a zero
             self.late_answers += 1
             log.warning("service.late", service=printable(event.service.name))
 

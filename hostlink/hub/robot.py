@@ -146,7 +146,15 @@ def command_settings(config: RobotConfig) -> CommandSettings:
     is_spatial = config.kinematics == "spatial"
     ignored, locked = frozenset(config.not_commands), frozenset(config.locked_topics)
     return CommandSettings(
-        kind, topics, config.feedback.topic, ignored, locked, is_spatial, config.devices, config.command_device
+        kind,
+        topics,
+        config.feedback.topic,
+        ignored,
+        locked,
+        is_spatial,
+        config.devices,
+        config.command_device,
+        config.stop_service,
     )
 
 
@@ -378,7 +386,7 @@ class LocalRobot(Drivable, AnyRobot):
             priority=None if driver is None else driver.priority,
             lock_reason=admission.lock_reason,
             epoch=admission.epoch,
-            unreachable=self.refusals.cause or (admission.missing if connection is not None else None) or None,
+            unreachable=self._unreachable,
             wheel_separation_m=self.config.wheel_separation_m,
             kinematics=admission.kinematics,
             lease_s=admission.lease_s,
@@ -390,6 +398,13 @@ class LocalRobot(Drivable, AnyRobot):
             device_errors=() if connection is None else self._device_errors(connection),
             firmware=None if monitor is None else monitor.firmware,
         )
+
+    @property
+    def _unreachable(self) -> str | None:
+        """Why it cannot be driven or stopped although its device is connected; None if it can."""
+        if self.connection is None:
+            return self.refusals.cause
+        return self.refusals.cause or self.admission.missing or self.no_stop or None
 
     def _device_errors(self, connection: "Device") -> tuple[str, ...]:
         """Return the codes of the findings of all its devices."""
@@ -440,7 +455,7 @@ class LocalRobot(Drivable, AnyRobot):
 
     @property
     def devices(self) -> "tuple[Device, ...]":
-        """Its connected devices."""
+        """Connected devices of this robot."""
         return self.parts if self.connection is None else (self.connection, *self.parts)
 
     def _stop_unguarded(self) -> None:
@@ -639,7 +654,7 @@ class RemoteRobot(AnyRobot):
     _velocities: frozenset[tuple[str, str]] = frozenset()
 
     def __post_init__(self) -> None:
-        self.admission = Admission(self.name, epoch=secrets.randbits(EPOCH_BITS))
+        self.admission = Admission(self.name, epoch=secrets.randbits(EPOCH_BITS), sees_bunches=False)
         self._node = Node(f"{self.name} at {self.host}")
 
     def state(self, now_s: float) -> RobotState:

@@ -36,6 +36,7 @@ from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 LONGEST_NAME: Final = 64  # characters of a robot's name; names are used in logs, paths and labels
 RESET_TYPE: Final = "std_msgs/Empty"
+STOP_SERVICE_TYPES: Final = ("std_srvs/Empty", "std_srvs/Trigger")  # without a field in the request
 _USUAL_NAMES: Final = ("velocity_commands", "cmd_vel")  # the likelier first
 _USUAL_POSES: Final = ("nav_msgs/Odometry", "geometry_msgs/Pose2D")
 _TWISTS: Final = (TWIST_TYPE, TWIST_STAMPED_TYPE)
@@ -116,6 +117,7 @@ class CommandSettings(NamedTuple):
     is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
     devices: tuple[str, ...] = ()  # addresses, ports and names of its devices, if it consists of several
     command_device: str | None = None  # the one that is commanded; None: the only one that takes a velocity
+    stop_service: str | None = None  # service of the device that is called with each zero, because a zero is not obeyed
 
 
 NO_SETTINGS: Final = CommandSettings()
@@ -214,9 +216,11 @@ def unguarded(
 ) -> list[Endpoint]:
     """Return the endpoints that look like commands of a motion, and that nothing guards.
 
-    `guarded`: names of the topics that have a gate.
+    `guarded`: names of the topics that have a gate. The namespace of such a topic is the robot's name: that a robot is
+    named `big_wheel` does not tell what its topics are for.
     """
     passed = {*guarded, *settings.ignored, *settings.locked}
+    robots = {space for space in map(namespace_of, guarded) if not _COMMON.issuperset(map(str.lower, space))}
     return [
         each
         for each in endpoints
@@ -225,7 +229,7 @@ def unguarded(
         and (
             each.type_name in {*_TWISTS, *ACKERMANN_TYPES, JOY_TYPE}
             or each.name in settings.topics
-            or _looks_like_motion(each)
+            or _looks_like_motion(each, robots)
         )
     ]
 
@@ -387,11 +391,14 @@ def _is_motor(endpoint: Endpoint) -> bool:
     return endpoint.type_name not in _NO_MOTION
 
 
-def _looks_like_motion(endpoint: Endpoint) -> bool:
+def _looks_like_motion(endpoint: Endpoint, robots: Collection[tuple[str, ...]]) -> bool:
+    """Whether its type and name tell of motion. `robots`: namespaces that are names of robots."""
     if not _is_motor(endpoint) or _is_position(endpoint):
         return False
-    is_spoken = endpoint.type_name in TEXT_TYPES and _SPOKEN.search(endpoint.name) is not None
-    return is_spoken or any(map(_SUSPECT.search, _parts(endpoint.name)))
+    leaf, space = leaf_of(endpoint.name), namespace_of(endpoint.name)
+    words = [leaf] if space in robots else [*space, leaf]
+    is_spoken = endpoint.type_name in TEXT_TYPES and any(map(_SPOKEN.search, words))
+    return is_spoken or any(map(_SUSPECT.search, words))
 
 
 def _is_position(endpoint: Endpoint) -> bool:

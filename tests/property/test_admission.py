@@ -116,7 +116,7 @@ class History(RuleBasedStateMachine):
         drive = self.drives.get(topic)
         if drive is not None and (drive.source == owner or self.now_s >= drive.at_s + LEASE_S):
             drive = None
-        if heard.has_let_go(self.now_s):
+        if heard.has_let_go(self.now_s - waited_s):
             heard.was_interrupted = heard.has_missed = heard.was_taken_over = False
             heard.commanded_s = {}
         if seen == 0 or (seen is None and self.now_s - waited_s < self.stopped_s - UNORDERED_S):
@@ -220,7 +220,9 @@ class History(RuleBasedStateMachine):
             case "stop":
                 came_s = self.now_s - ticks % 8 * TICK_S  # the loop may be late
                 self.admission.interrupt(self.now_s, came_s=came_s)
-                self.stopped_s, is_one = max(self.stopped_s, came_s), True
+                self.stopped_s, is_one = max(self.stopped_s, came_s), False
+                self.interruption(came_s)
+                epoch += 1
             case "pause":
                 began_s = self.now_s
                 self.now_s += ticks * TICK_S

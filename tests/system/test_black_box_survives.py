@@ -156,7 +156,7 @@ async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses
     print(f"end: {idle_s:.2f} s with nothing pending, {lasted_s:.2f} s")  # noqa: T201
     assert lasted_s < idle_s + 1.4  # the robots' last zeros take 0.15 of it, the incidents 0.6
     async with serve(*words) as successor:
-        await expect(lambda: len(incident_files(tmp_path)) == len(names) + MAX_REQUESTED, timeout_s=60)
+        await expect(lambda: len(asked_for(tmp_path)) == len(names) + MAX_REQUESTED)
         found = (await successor.get("/api/incidents"))["incidents"]
         assert [each["cause"] for each in found].count("locked") == len(names)
     for file in incident_files(tmp_path):
@@ -164,7 +164,14 @@ async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses
         topics = [message.channel.topic for message in reader.messages()]
         assert reader.damage == []
         assert topics.count(f"/{reader.metadata['robot']}/odometry") > 0.95 * POSES  # it subscribes after the first
-    assert len(incident_files(tmp_path)) == 4 + MAX_REQUESTED
+    assert len(asked_for(tmp_path)) == len(names) + MAX_REQUESTED
+
+
+def asked_for(folder: Path) -> list[Path]:
+    """The incidents of the locks and requests. On a busy machine the flood lasts so long that each robot has another
+    one: it sends poses, and no longer requests the time.
+    """
+    return [file for file in incident_files(folder) if "_diagnosed" not in file.name]
 
 
 async def flood(daemon: Process, name: str, begin: asyncio.Event) -> None:

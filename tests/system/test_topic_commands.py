@@ -149,7 +149,7 @@ async def test_stop_lock_and_unlock() -> None:
         assert await run("stop", "mull", "--all", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
         assert await run("stop", "/mule", *at) == (1, f"mule: {unknown}", "")
         locked = f"mule is locked: my foot\nmule: {unknown}"
-        assert await run("lock", "mule", "--reason", "my foot", *at) == (1, locked, "")
+        assert await run("lock", "mule", "--reason", "my foot", *at) == (0, locked, "")
         assert [robot.gate.lock_reason for robot in host.hub.robots.all()] == ["my foot", None]
         assert await run("unlock", *at) == (0, "mule may be driven\n", "")
         assert await run("unlock", *at) == (1, "", "hostlink: no robot is locked; `hostlink robots` lists them\n")
@@ -163,16 +163,17 @@ async def test_stop_lock_and_unlock() -> None:
         assert (status, "there is no robot named mull; similar names: mule" in err) == (1, True)
         assert "mule is locked" in out
         assert all(robot.gate.lock_reason is not None for robot in host.hub.robots.all())
-        assert (await run("unlock", "--all", *at))[1] == "mule may be driven\nrobot_0 may be driven\n"
+        everything = "mule may be driven\nrobot_0 may be driven\nboards that are not robots may be driven\n"
+        assert (await run("unlock", "--all", *at))[1] == everything
         assert (await run("lock", "mull", *at))[2] == (
             "hostlink: there is no robot named mull; similar names: mule; `hostlink robots` lists them; "
             "`hostlink lock` locks every robot\n"
         )
         assert all(robot.gate.lock_reason is None for robot in host.hub.robots.all())
-        assert (await run("lock", "all", *at))[::2] == (1, "")
+        assert (await run("lock", "all", *at))[::2] == (0, "")
         assert all(robot.gate.lock_reason is not None for robot in host.hub.robots.all())
         assert (await run("stop", "*", *at))[1:] == (f"mule: {unknown}robot_0: {unknown}", "")
-        assert await run("unlock", "all", *at) == (0, "mule may be driven\nrobot_0 may be driven\n", "")
+        assert await run("unlock", "all", *at) == (0, everything, "")
         status, out, err = await run("lock", "mull", "", "mule", "robot_1", *at)
         assert (status, out) == (1, f"mule is locked: a lock from the terminal\nmule: {unknown}")
         mull, empty, robot_1 = err.splitlines()

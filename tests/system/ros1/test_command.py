@@ -70,7 +70,7 @@ RELATIVE = [
     topic(Id.SUBSCRIBER, 100, "velocity_commands", "geometry_msgs/Twist"),
     topic(Id.SUBSCRIBER, 102, "~text", "std_msgs/String"),
 ]
-OWN = ("robot/odom", "robot/cmd_vel", "robot/cmd_vel_stamped")  # hostlink's, of a robot without a name
+OWN = ("robot_0/odom", "robot_0/cmd_vel", "robot_0/cmd_vel_stamped")  # hostlink's, of a robot without a name
 
 
 async def nodes_of(ros: Graph) -> list[dict[str, set[str]]]:
@@ -99,7 +99,7 @@ async def test_two_nodes_in_two_namespaces_share_nothing_but_global_topics(ros: 
             await expect(lambda port=port: is_listening(port))
             devices.append(await stack.enter_async_context(living_device(("127.0.0.1", port), RELATIVE)))
         readers = [
-            await stack.enter_async_context(ros.node("listen", f"/{space}/robot/odom", "nav_msgs/Odometry"))
+            await stack.enter_async_context(ros.node("listen", f"/{space}/robot_0/odom", "nav_msgs/Odometry"))
             for space in spaces
         ]
         for number, device in enumerate(devices):
@@ -108,26 +108,26 @@ async def test_two_nodes_in_two_namespaces_share_nothing_but_global_topics(ros: 
             message = await reader.read("message")
             assert message["by"] == f"/{space}/serial_node"
             assert message["fields"]["pose"]["pose"]["position"]["x"] == number + 1.0
-        await ros.listed("/r2/robot/odom")
+        await ros.listed("/r2/robot_0/odom")
         published, subscribed, services = await nodes_of(ros)
         both = {f"/{space}/serial_node" for space in spaces}
         for space in spaces:
             node = {f"/{space}/serial_node"}
-            assert published[f"/{space}/odometry"] == published[f"/{space}/robot/odom"] == node
-            for name in ("velocity_commands", "robot/cmd_vel", "robot/cmd_vel_stamped", "serial_node/text"):
+            assert published[f"/{space}/odometry"] == published[f"/{space}/robot_0/odom"] == node
+            for name in ("velocity_commands", "robot_0/cmd_vel", "robot_0/cmd_vel_stamped", "serial_node/text"):
                 assert subscribed[f"/{space}/{name}"] == node
-            assert services[f"/{space}/robot/lock"] == services[f"/{space}/robot/unlock"] == node
+            assert services[f"/{space}/robot_0/lock"] == services[f"/{space}/robot_0/unlock"] == node
         for name in ("/tf", "/diagnostics", "/rosout"):
             assert both <= published[name]
         assert not {f"/{name}" for name in OWN} & {*published, *subscribed}
-        assert not {"/robot/lock", "/robot/unlock"} & services.keys()
+        assert not {"/robot_0/lock", "/robot_0/unlock"} & services.keys()
         # A velocity and a lock are for one of them.
-        await stack.enter_async_context(ros.node("drive", "/r2/robot/cmd_vel", "0.2", "20"))
+        await stack.enter_async_context(ros.node("drive", "/r2/robot_0/cmd_vel", "0.2", "20"))
         await devices[1].velocity_of((0.2, 0.0))
-        assert "success: True" in await ros.lines("rosservice", "call", "/r1/robot/lock")
+        assert "success: True" in await ros.lines("rosservice", "call", "/r1/robot_0/lock")
         assert [(await parameter(device, "~kp"))[4] for device in devices] == [5, 6]
         for space in spaces:
-            assert {f"hostlink/{space}: daemon", f"hostlink/{space}: robot link"} <= await status_names(ros, space)
+            assert {f"hostlink/{space}: daemon", f"hostlink/{space}: robot_0 link"} <= await status_names(ros, space)
 
 
 async def status_names(ros: Graph, space: str) -> set[str]:

@@ -11,6 +11,7 @@ from hostlink.client import connect
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import CommandRefused, RefusalKind
 from tests.support.browser import visit
+from tests.support.driving import hold
 from tests.support.fake_device import fake_device, pose, repeating, robot_topics
 from tests.support.process import run
 from tests.support.waiting import expect
@@ -64,7 +65,7 @@ async def test_a_script_drives_and_reads_a_robot_of_another_daemon() -> None:
             assert (await anext(poses))["pose"]["x_m"] == 1.5
             await device.send(pose(2.5))
             assert (await anext(poses))["pose"]["x_m"] == 2.5
-            await robot.drive(0.2, 0.0)
+            await hold(robot, 0.2, 0.0)
             assert await device.velocity_other_than(STILL) == (0.2, 0.0)
             gate = b.hub.robots.find_here("robot_7").gate
             await expect(lambda: gate.counts.commands > 5)  # it is repeated
@@ -77,7 +78,7 @@ async def test_a_script_drives_and_reads_a_robot_of_another_daemon() -> None:
             assert refused.value.kind is RefusalKind.LOCKED
             await robot.unlock()
             await robot.drive(0.0, 0.0)  # it lets go
-            await robot.drive(0.1, 0.0)
+            await hold(robot, 0.1, 0.0)
             device.hang_up()
             await expect(lambda: not robot.is_driven)
 

@@ -6,6 +6,7 @@ import pytest
 
 from hostlink.diagnosis.evidence import Complaint, EarlierLink, Evidence, PortSharing, Tally
 from hostlink.diagnosis.finding import Finding, finding, words
+from hostlink.diagnosis.motion_monitor import MotionEvidence
 from hostlink.diagnosis.rules import diagnose
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.resampling import resample
@@ -169,6 +170,17 @@ def test_burst_before_the_topics_is_boot_noise_while_it_is_recent() -> None:
     evidence = replace(HEALTHY, total=tally, recent=tally, non_rosserial=BOOT, early_non_rosserial=BOOT)
     assert [each.code for each in diagnose(evidence)] == ["boot_noise"]
     assert diagnose(replace(evidence, recent=GOOD, non_rosserial=b"")) == []
+
+
+def test_wheel_that_the_device_names_explains_odometry_that_disagrees() -> None:
+    disagrees = replace(HEALTHY, motion=MotionEvidence("odom", 9, disagreement="the odometry does not change"))
+    assert [each.code for each in diagnose(disagrees)] == ["odometry_disagrees"]
+    for code, text in (("wheel_stalled", STALLED.text), ("wheel_runaway", "right wheel runs away")):
+        named = replace(disagrees, complaints={code: Complaint(text, 599.0)})
+        assert [each.code for each in diagnose(named)] == [code]
+        assert [each.code for each in diagnose(replace(named, complaints={code: Complaint(text, 600.0)}))] == [
+            "odometry_disagrees"
+        ]
 
 
 def test_findings_are_in_the_order_of_their_texts() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hostlink.errors import RefusalKind
 from hostlink.robot.admission import (
     ANY_SOURCE,
+    BUNCH_S,
     DRIFT,
     EARLIER_EPOCH,
     LEASE_S,
@@ -22,6 +23,7 @@ from hostlink.robot.admission import (
     EarlierCommands,
     EarlierMotion,
     Freshness,
+    Resumption,
     named,
 )
 from hostlink.robot.kinematics import AckermannDrive, DifferentialDrive
@@ -156,6 +158,109 @@ def test_disarmed_source_after_a_lease_of_silence_is_admitted(driven: Timeline, 
     assert driven.command().is_admitted
 
 
+def test_silence_that_only_this_daemon_made_arms_nothing(driven: Timeline) -> None:
+    """A busy daemon reads late: what it reads after a lease was sent within the lease."""
+    driven.stop()
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command(waited_s=0.2).kind is RefusalKind.DISARMED
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command(waited_s=0.1).is_admitted
+
+
+def test_silence_that_only_the_network_made_arms_nothing(robot: Timeline) -> None:
+    """After a gap of the network come the commands of the gap, the newest of which is as quick as those before it."""
+    for sent_s in (7.0, 7.1, 7.2):
+        assert robot.command(sent_s=sent_s).is_admitted
+        robot.wait(0.1)
+    robot.stop()
+    robot.wait(1.05)
+    kinds = [robot.command(sent_s=7.3 + number / 10).kind for number in range(11)]
+    assert kinds == [RefusalKind.LATE] * 6 + [RefusalKind.DISARMED] * 5
+    robot.wait(LEASE_S + 0.1)
+    assert robot.command(sent_s=8.4 + LEASE_S).is_admitted
+
+
+@pytest.mark.parametrize("silent_s", [0.0, LEASE_S + 0.1], ids=["after the stop", "also before the stop"])
+def test_commands_that_come_together_after_a_silence_waited_for_the_network(driven: Timeline, silent_s: float) -> None:
+    driven.wait(silent_s)
+    driven.stop()
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command().is_admitted  # nothing tells yet that it waited
+    driven.wait(BUNCH_S / 2)
+    assert driven.command().kind is RefusalKind.DISARMED
+    assert driven.driver() is None
+    for _ in range(10):
+        driven.wait(0.1)
+        assert driven.command().kind is RefusalKind.DISARMED
+    driven.wait(LEASE_S)
+    assert driven.command().is_admitted
+
+
+def test_commands_that_come_together_later_in_the_lease_after_a_silence_waited_for_the_network(
+    driven: Timeline,
+) -> None:
+    """The network brings the oldest command, and the others a round trip later."""
+    driven.stop()
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command().is_admitted
+    driven.wait(0.06)
+    assert driven.command().is_admitted
+    assert driven.command().kind is RefusalKind.DISARMED
+
+
+def test_commands_that_come_together_for_other_reasons_are_admitted(driven: Timeline) -> None:
+    assert driven.command().is_admitted  # nothing has interrupted the robot
+    driven.wait(LEASE_S)
+    assert driven.command().is_admitted
+    assert driven.command().is_admitted
+    driven.stop()
+    driven.wait(LEASE_S)
+    assert driven.command(topic="cmd_vel").is_admitted
+    assert driven.command(topic="arm_vel").is_admitted  # of one cycle of its program
+    driven.wait(BUNCH_S)
+    assert driven.command(topic="cmd_vel").is_admitted
+    assert driven.command(topic="cmd_vel", epoch=driven.admission.epoch).is_admitted
+    driven.wait(LEASE_S)
+    assert driven.command(topic="cmd_vel").is_admitted
+    assert driven.command(topic="cmd_vel").is_admitted  # it began anew a lease ago
+    assert driven.command(source="bob").is_admitted
+    assert driven.command(source="bob").is_admitted  # a new source
+    assert driven.command(ZERO, source="bob").is_admitted
+    driven.stop()
+    assert driven.command(source="bob").is_admitted
+    assert driven.command(source="bob").is_admitted  # it had let go by a zero
+
+
+@pytest.mark.parametrize(("late_s", "kind"), [(0.05, None), (0.2, RefusalKind.DISARMED)])
+def test_commands_that_a_slightly_late_loop_reads_together_after_a_silence_are_admitted(
+    driven: Timeline, late_s: float, kind: RefusalKind | None
+) -> None:
+    driven.stop()
+    driven.wait(2 * LEASE_S)
+    assert driven.command(waited_s=late_s).is_admitted
+    assert driven.command(waited_s=late_s).kind is kind
+
+
+def test_commands_that_tell_when_they_were_sent_may_come_together(robot: Timeline) -> None:
+    assert robot.command(sent_s=0.0).is_admitted
+    robot.stop()
+    robot.wait(LEASE_S + 0.1)
+    assert robot.command(sent_s=0.6).is_admitted
+    assert robot.command(sent_s=0.6).is_admitted
+
+
+def test_what_comes_within_a_lease_after_a_silence_may_end_one_of_the_network() -> None:
+    resumption = Resumption()
+    times_s = [0.0, 0.4, 0.8, 1.3, 1.7, 1.9, 3.0]
+    assert [at_s for at_s in times_s if resumption.is_recent(at_s)] == [1.3, 1.7, 3.0]
+
+
+def test_silence_before_a_command_of_the_future_is_not_longer(driven: Timeline) -> None:
+    driven.stop()
+    driven.wait(LEASE_S - 0.1)
+    assert driven.command(waited_s=-1.0).kind is RefusalKind.DISARMED
+
+
 @pytest.mark.parametrize("interrupt", interruptions())
 def test_quiet_source_after_an_interruption_is_admitted(driven: Timeline, interrupt: object) -> None:
     interrupt(driven)  # type: ignore[operator]
@@ -224,6 +329,12 @@ def test_source_that_was_silent_for_a_lease_is_not_met_by_a_stop(driven: Timelin
     driven.wait(LEASE_S)
     driven.stop()
     assert driven.command().is_admitted
+
+
+def test_source_that_streams_is_met_by_a_stop_that_a_late_loop_obeys_before_what_waits(driven: Timeline) -> None:
+    driven.wait(LEASE_S)
+    driven.admission.interrupt(driven.now_s, came_s=driven.now_s - 0.3)
+    assert driven.command(waited_s=0.3).kind is RefusalKind.DISARMED
 
 
 def test_lock_ends_the_lease_at_once(driven: Timeline) -> None:
