@@ -479,10 +479,9 @@ class Directory:
         return None
 
     def _is_other_commanded(self, link: int, member: Membership) -> bool:
-        """Whether another device of the robot has its name: two that take a velocity are not one robot."""
+        """Whether another device has the robot's name: two that take a velocity are not one robot."""
         other = self._names.links.get(member.robot)
-        entry = None if other is None or other == link else self._entries[other]
-        return entry is not None and entry.member is not None and entry.member != member
+        return other is not None and other != link and self._entries[other].member != member
 
     def _described(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[str | None, CommandSettings]:
         """Return the robot whose settings describe a device, and these settings.

@@ -609,9 +609,13 @@ AT_HOME = Origin("", HOME, f"{HOME}:1")
 
 
 def test_device_is_the_robot_whose_settings_name_its_topics_those_of_its_address_precede() -> None:
-    ours = Clocked({"van": None, "car": HOME}, {"van": TWO_MOTORS, "car": TWO_MOTORS})
-    assert accepted(ours, 1, HOME, MOTORS) == ("car", None)
-    assert accepted(ours, 2, AWAY, MOTORS) == ("van", None)
+    ours = Clocked({"van": None, "car": HOME}, {"van": TWO_MOTORS, "car": TWO_MOTORS._replace(topics=("r", "l"))})
+    found = [ours.claim(link, address, MOTORS) for link, address in enumerate((HOME, AWAY))]
+    robots = [claim.robot for claim in found if isinstance(claim, Accepted)]
+    assert [(each.name, [topic.name for topic in each.commands]) for each in robots] == [
+        ("car", ["r", "l"]),
+        ("van", ["l", "r"]),
+    ]
     assert accepted(ours, 3, OTHER, MOTORS[:1]) == (None, None)
 
 
@@ -678,7 +682,8 @@ def test_robot_of_several_devices_is_the_one_that_takes_a_velocity_and_the_other
 
 def test_device_is_a_part_by_the_namespace_of_its_topics() -> None:
     ours = of_two(CommandSettings(devices=(HOME, "arm")))
-    assert part(ours, 1, OTHER, [from_device("/arm/odom", ODOMETRY)]) == (None, "r")
+    assert part(ours, 1, OTHER, [to_device("/arm/cmd_vel")]) == ("r", "r")
+    assert part(ours, 2, "10.0.0.7", [from_device("/arm/odom", ODOMETRY)]) == (None, "r")
     assert ours.directory.member([from_device("/arm/odom")], AT_HOME) == Membership("r", HOME)
 
 
@@ -707,6 +712,19 @@ def test_new_settings_choose_the_device_that_commands_and_leave_other_robots_as_
     places = Places({"r": None, "s": None}, {name: each.devices for name, each in chosen.items()})
     assert ours.directory.reconfigure(places, chosen) == {}
     assert part(ours, 4, "10.0.0.7", [to_device("/arm/cmd_vel")]) == (None, "s")  # the other device still commands it
+    assert {link: part(ours, link, *devices[link]) for link in order} == {1: ("r", "r"), 2: (None, "r")}
+
+
+def test_name_of_a_robot_of_several_devices_is_reserved_without_them() -> None:
+    assert part(of_two(), 1, OTHER, [to_device("/r/cmd_vel")]) == ("r_2", None)
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_two_robots_that_the_settings_make_one_are_one_in_any_order(order: tuple[int, int]) -> None:
+    ours = Clocked()
+    devices = {1: (HOME, [to_device("/r/cmd_vel")]), 2: (AWAY, [to_device("/other/cmd_vel")])}
+    assert [part(ours, link, *devices[link]) for link in (1, 2)] == [("r", None), ("other", None)]
+    ours.directory.reconfigure(Places({"r": None}, {"r": BOTH.devices}), {"r": BOTH})
     assert {link: part(ours, link, *devices[link]) for link in order} == {1: ("r", "r"), 2: (None, "r")}
 
 
