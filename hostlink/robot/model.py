@@ -47,15 +47,21 @@ _MOTION: Final = re.compile(
 )
 _SUSPECT: Final = re.compile(
     r"vel(ocity|ocities)?$|^vel|^cmd|cmds?$|command|control|(?<!e)mot(ion|or)|mtr|wheel|speed|spd|pwm|dut(y|ies)|steer|throttle"
-    r"|thrust|traction|move|mov$|drive|rotat|joy",
+    r"|thrust|traction|move|mov$|drive|rotat|joy|rpm|(?<![a-z])esc(?![a-z])|^dir$"
+    r"|^(front|rear|back)?_?(left|right|[lr])$|^[fbr][lr]$|^m\d$",  # whole names of motors
     re.IGNORECASE,
 )
-_SPOKEN: Final = re.compile(r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE)  # texts
+_SPOKEN: Final = re.compile(
+    r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE
+)  # texts, characters
 _SERVO: Final = re.compile(
     r"servo|(?:^|[/_])arm(?![a-z])|joint|gripper|angle|position|actuat|stepper|lift|wing", re.IGNORECASE
 )
-_WHEEL: Final = re.compile(r"vel(ocity)?$|motor|wheel|speed|pwm|throttle", re.IGNORECASE)
-_TRIGGER: Final = re.compile(r"open|close|launch|fire|shoot|release|drop|grip|kick|throw|pick", re.IGNORECASE)
+_WHEEL: Final = re.compile(r"vel(ocity)?$|motor|wheel|speed|pwm|throttle|rpm", re.IGNORECASE)
+_TRIGGER: Final = re.compile(
+    r"open|close|launch|fire|shoot|release|drop|grip|kick|throw|pick|forward|backward|^(back|left|right|go|turn)",
+    re.IGNORECASE,
+)
 # Words of a topic's name that tell what it is, but not whose.
 _COMMON: Final = frozenset({
     "ackermann", "base", "cb", "cmd", "cmdvel", "command", "commands", "control", "controller", "ctrl", "drive", "from",

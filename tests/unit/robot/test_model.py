@@ -332,6 +332,24 @@ def test_every_topic_has_one_role_of_which_the_command_precedes() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    "topics",
+    [("left_rpm", "right_rpm"), ("M1", "M2"), ("left", "right"), ("front_left", "front_right"), ("fl", "fr"), ("esc",)],
+)
+def test_usual_names_of_motors_look_like_motion(topics: tuple[str, ...]) -> None:
+    assert names(unguarded([to(name, INT16) for name in topics])) == list(topics)
+
+
+@pytest.mark.parametrize("name", ["describe", "leftover", "m10_led", "door"])
+def test_other_names_of_numbers_do_not(name: str) -> None:
+    assert unguarded([to(name, INT16)]) == []
+
+
+def test_a_trigger_that_names_a_direction_is_an_actuator() -> None:
+    topics = [to(name, "std_msgs/Empty") for name in ("forward", "left", "toggle_led")]
+    assert names(actuators(topics)) == ["forward", "left"]
+
+
 def test_the_name_of_a_robot_does_not_tell_what_its_topics_are_for() -> None:
     gains = to("/big_wheel/gains_left", "geometry_msgs/Vector3")
     left = to("/big_wheel/left_motor", INT16)
