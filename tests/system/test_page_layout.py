@@ -165,7 +165,7 @@ CASES = {
         "with a higher priority",
     ),
     "driven": Case(driven, "#drive-state", "drives"),
-    "held": Case(held, "#drive-state", "drives until it lets go"),
+    "held": Case(held, "#drive-state", "until it lets go"),
     "played": Case(played, "#robots", "played_0"),
     "sick": Case(sick, ".diagnosis", "announces"),
     "lost": Case(lost, "#connection", "no connection"),
