@@ -90,7 +90,7 @@ class Freshness:
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
-BUNCH_S = 0.01  # no source commands a hundred times a second; what waited for the network comes together
+BUNCH_S = 0.01  # no source commands a hundred times a second; commands that waited for the network arrive together
 UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
@@ -145,7 +145,7 @@ class EarlierMotion:
 
 
 class Resumption:
-    """Whether what comes on a connection may end a silence that the network made. Then nothing of it is left out."""
+    """Detector of arrivals that may end a silence that the network made: none of them may be left out."""
 
     def __init__(self) -> None:
         self._came_s, self._until_s = math.inf, -math.inf
