@@ -235,6 +235,14 @@ def test_commands_that_a_slightly_late_loop_reads_together_after_a_silence_are_a
     assert driven.command(waited_s=late_s).kind is kind
 
 
+def test_command_that_is_repeated_at_once_because_it_was_refused_is_admitted(driven: Timeline) -> None:
+    driven.stop()
+    driven.wait(LEASE_S)
+    assert driven.command(source="bob", priority=60).is_admitted
+    assert driven.command().kind is RefusalKind.HELD
+    assert driven.command(priority=60).is_admitted
+
+
 def test_commands_that_tell_when_they_were_sent_may_come_together(robot: Timeline) -> None:
     assert robot.command(sent_s=0.0).is_admitted
     robot.stop()
