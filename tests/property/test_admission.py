@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from hostlink.errors import RefusalKind
-from hostlink.robot.admission import LEASE_S, UNORDERED_S, Admission, Command
+from hostlink.robot.admission import BUNCH_S, LEASE_S, UNORDERED_S, Admission, Command
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 
 OWNERS = st.sampled_from(["ann", "bob", "eve"])
@@ -33,6 +33,21 @@ class Heard:
     held_until_s: float = float("-inf")
     priority: int = 0
     has_lost_device: bool = False  # it was commanding when the device left
+
+    resumed_s: float = float("-inf")  # end of a silence before or in which it was interrupted
+    admitted_s: dict[str, float] = field(default_factory=dict)  # by topic
+
+    def resume(self, sent_s: float, now_s: float, interrupted_s: float) -> None:
+        """Note a non-zero command if a silence ends with it. `interrupted_s`: the robot's last interruption."""
+        last_s = max(self.commanded_s, default=float("-inf"))
+        was_interrupted = self.interrupted_s is not None or self.has_missed or interrupted_s >= last_s
+        if self.commanded_s and sent_s >= last_s + LEASE_S and was_interrupted:
+            self.resumed_s = now_s
+
+    def is_bunched(self, topic: str, now_s: float) -> bool:
+        """Whether a command follows an admitted one so closely, after a silence, that both waited for the network."""
+        is_close = now_s < self.admitted_s.get(topic, float("-inf")) + BUNCH_S
+        return is_close and now_s < self.resumed_s + LEASE_S
 
     def is_armed(self, sent_s: float) -> bool:
         """Whether it has let go, or has seen the interruption, since the last one, and before what was sent then."""
@@ -79,9 +94,10 @@ class History(RuleBasedStateMachine):
         self.sources: dict[str, Heard] = {}
         self.drives: dict[str, Drive] = {}  # by topic
         self.is_locked, self.is_connected = False, is_connected
-        self.away_s = self.stopped_s = float("-inf")
+        self.away_s = self.stopped_s = self.interrupted_s = float("-inf")
         if is_connected:
             self.admission.connect(self.now_s)
+            self.interrupted_s = self.now_s
 
     @rule(ticks=st.integers(0, 6))
     def time_passes(self, ticks: int) -> None:
@@ -116,9 +132,13 @@ class History(RuleBasedStateMachine):
         waited_s = waited * TICK_S
         holders = {other for other, each in self.sources.items() if other != owner and self.now_s < each.held_until_s}
         strongest = max((self.sources[other].priority for other in holders), default=0)
+        heard.resume(self.now_s - waited_s, self.now_s, self.interrupted_s)
         if heard.is_armed(self.now_s - waited_s):
             heard.interrupted_s, heard.has_missed = None, False
             heard.forget()
+        if seen is None and heard.is_bunched(topic, self.now_s):
+            heard.has_missed, heard.held_until_s = True, float("-inf")
+            self.drives = {by: drive for by, drive in self.drives.items() if drive.source != owner}
         if seen == 0 or (seen is None and self.now_s - waited_s < self.stopped_s - UNORDERED_S):
             heard.has_missed = True
         expected = None
@@ -147,6 +167,7 @@ class History(RuleBasedStateMachine):
         assert decision.holder in holders | {None}
         if decision.is_admitted:
             heard.held_until_s, heard.priority = self.now_s - waited_s + LEASE_S, priority
+            heard.admitted_s[topic] = self.now_s
             self.drives[topic] = Drive(owner, self.now_s - waited_s, priority)
             self.drives = {
                 by: drive for by, drive in self.drives.items() if drive.source == owner or drive.priority >= priority
@@ -182,6 +203,7 @@ class History(RuleBasedStateMachine):
 
     def interruption(self, since_s: float) -> None:
         self.drives.clear()
+        self.interrupted_s = self.now_s
         for heard in self.sources.values():
             last_s = max(heard.commanded_s, default=float("-inf"))
             if heard.has_lost_device or since_s < last_s + LEASE_S:
