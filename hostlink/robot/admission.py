@@ -104,7 +104,7 @@ class Freshness:
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
-BUNCH_S = 0.01  # no source commands a hundred times a second; what waited for the network comes together
+BUNCH_S = 0.01  # no source commands a hundred times a second; commands that waited for the network arrive together
 UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
@@ -156,7 +156,7 @@ class EarlierMotion:
 
 
 class Resumption:
-    """Whether what comes on a connection may end a silence that the network made. Then nothing of it is left out."""
+    """Detector of arrivals that may end a silence that the network made: none of them may be left out."""
 
     def __init__(self) -> None:
         self._came_s, self._until_s = math.inf, -math.inf
@@ -246,16 +246,17 @@ class _Source:
     has_lost_device: bool = False  # it was commanding when the device left, and has not let go since
     freshness: Freshness = field(default_factory=Freshness)
     resumed_s: float = float("-inf")  # end of a silence before or in which the robot was interrupted
-    came_s: dict[Hashable, float] = field(default_factory=dict)  # by topic: newest arrival since, without a `sent_s`
+    came_s: dict[Hashable, float] = field(default_factory=dict)  # by topic: arrival of the newest admitted command
 
     def is_bunched(self, command: Command[Any], now_s: float, topic: Hashable) -> bool:
-        """Whether a command after a silence waited with the one before it: so did the silence come from the network."""
-        if command.sent_s is not None or command.epoch is not None:
-            return False
-        before_s = self.came_s.get(topic, float("-inf"))
+        """Whether a command waited with the admitted one before it: then a silence before both was the network's."""
+        tells_more = command.sent_s is not None or command.epoch is not None
+        return not tells_more and now_s < self.came_s.get(topic, float("-inf")) + BUNCH_S
+
+    def note_admitted(self, command: Command[Any], now_s: float, topic: Hashable) -> None:
+        """Note when an admitted command arrived."""
         is_late = BUNCH_S <= now_s - command.received_s < UNORDERED_S  # then a slightly late loop may read two at once
         self.came_s[topic] = command.received_s if is_late else now_s
-        return now_s < before_s + BUNCH_S
 
     @property
     def commanded_s(self) -> float:
@@ -325,7 +326,6 @@ class Admission:
         if now_s - max(waited_s, 0.0) >= source.commanded_s + self.lease_s:
             if not source.is_armed or self._interrupted_s >= source.commanded_s > -math.inf:
                 source.resumed_s = now_s
-                source.came_s.clear()
             source.arm()  # it let go
         if self.sees_bunches and now_s < source.resumed_s + self.lease_s and source.is_bunched(command, now_s, topic):
             source.is_armed = False
@@ -370,6 +370,7 @@ class Admission:
         if len(self._sources) > 1:
             self._overrule(owner, command.priority, topic, now_s)
         self._drivers[topic] = Lease(owner, command.priority, source.held_until_s)
+        source.note_admitted(command, now_s, topic)
         return ADMITTED
 
     def _decide_zero(self, command: Command[Any], now_s: float, topic: Hashable) -> Decision:

@@ -25,7 +25,7 @@ stalls = st.lists(st.tuples(st.floats(0.0, 4.5), st.sampled_from([0.1, 0.3, 0.45
 
 
 def arrives_s(sent_s: float, delays: list[tuple[float, float]]) -> float:
-    """When bytes of a connection arrive: in order, none of them within a gap."""
+    """Return when bytes of a connection arrive: in order, none of them within a gap."""
     arrival_s = sent_s
     for began_s, lasts_s in sorted(delays):
         if began_s <= arrival_s < began_s + lasts_s:

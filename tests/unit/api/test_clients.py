@@ -100,7 +100,7 @@ def test_velocity_that_came_much_before_a_newer_one_is_not_replaced_but_by_a_zer
 
 
 def test_first_velocity_that_waits_after_a_silence_is_replaced_by_a_zero_alone() -> None:
-    """It shows the admission that the silence was that of the network."""
+    """That operation shows the admission that the silence was that of the network."""
 
     def done(*pieces: tuple[float, str]) -> list[str]:
         async def run() -> list[str]:

@@ -241,6 +241,14 @@ def test_commands_that_a_slightly_late_loop_reads_together_after_a_silence_are_a
     assert driven.command(waited_s=late_s).kind is kind
 
 
+def test_command_that_is_repeated_at_once_because_it_was_refused_is_admitted(driven: Timeline) -> None:
+    driven.stop()
+    driven.wait(LEASE_S)
+    assert driven.command(source="bob", priority=60).is_admitted
+    assert driven.command().kind is RefusalKind.HELD
+    assert driven.command(priority=70).is_admitted
+
+
 def test_commands_that_tell_when_they_were_sent_may_come_together(robot: Timeline) -> None:
     assert robot.command(sent_s=0.0).is_admitted
     robot.stop()
@@ -249,7 +257,7 @@ def test_commands_that_tell_when_they_were_sent_may_come_together(robot: Timelin
     assert robot.command(sent_s=0.6).is_admitted
 
 
-def test_what_comes_within_a_lease_after_a_silence_may_end_one_of_the_network() -> None:
+def test_arrival_within_a_lease_after_a_silence_may_end_one_of_the_network() -> None:
     resumption = Resumption()
     times_s = [0.0, 0.4, 0.8, 1.3, 1.7, 1.9, 3.0]
     assert [at_s for at_s in times_s if resumption.is_recent(at_s)] == [1.3, 1.7, 3.0]
@@ -556,7 +564,7 @@ def test_source_that_drove_when_a_device_of_the_robot_left_must_let_go(driven: T
     driven.wait(LEASE_S)
     assert driven.command().is_admitted
     driven.wait(LEASE_S)
-    driven.admission.note_missing(MISSING, driven.now_s)  # while nobody drives
+    driven.admission.note_missing(MISSING, driven.now_s)  # while the robot has no driver
     driven.admission.note_missing("", driven.now_s)
     assert driven.command().is_admitted
 

@@ -688,7 +688,7 @@ def test_device_is_a_part_by_the_namespace_of_its_topics() -> None:
 
 
 @pytest.mark.parametrize(("first", "second"), [(HOME, AWAY), (AWAY, HOME)])
-def test_second_device_of_a_robot_that_takes_a_velocity_is_no_second_robot(first: str, second: str) -> None:
+def test_second_device_that_takes_a_velocity_gets_the_name_of_its_robot_only_once(first: str, second: str) -> None:
     """Two programs would each drive one half of it."""
     ours = of_two()
     assert part(ours, 1, first, COMMAND) == ("r", "r")
@@ -735,7 +735,7 @@ def test_device_that_the_settings_make_a_part_of_a_robot_gives_up_its_own_name()
     assert ours.directory.reconfigure(places, {"r": BOTH}) == {"robot_0": 1}
     assert part(ours, 1, HOME, COMMAND) == ("r", "r")
     assert ours.directory.reconfigure(Places({}), {}) == {}
-    assert part(ours, 1, HOME, COMMAND) == ("r", None)  # programs know it by that name, which nobody else has
+    assert part(ours, 1, HOME, COMMAND) == ("r", None)  # programs know it by that name, and it is free
 
 
 def test_played_recording_is_a_part_of_no_robot() -> None:

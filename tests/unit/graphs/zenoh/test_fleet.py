@@ -2,7 +2,9 @@
 
 import asyncio
 import contextlib
+import functools
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -792,6 +794,46 @@ async def test_program_that_sees_no_answers_drives_no_robot_of_another_host(worl
     world.network.deaf.clear()
     await asyncio.sleep(1.5)
     assert (await world.drive()).x_m_s == 0.2
+
+
+@pytest.mark.parametrize("before_s", [0.4, 0.25, 0.05, -0.05, -0.25])
+@pytest.mark.parametrize("gap_s", [0.45, 0.55, 0.65, 0.8])
+def test_gap_between_two_hosts_undoes_no_stop(before_s: float, gap_s: float) -> None:
+    """A program streams without a pause. Its commands wait from `before_s` before the stop on; its host is deaf."""
+
+    async def test(world: World) -> None:
+        loop = asyncio.get_running_loop()
+        began_s, sent, waiting = math.inf, world.desk_session.put, list[Callable[[], None]]()
+
+        def put(key: str, payload: bytes, **options: Any) -> None:
+            if loop.time() < began_s:
+                sent(key, payload, **options)
+            else:
+                waiting.append(functools.partial(sent, key, payload, **options))
+
+        async def stream() -> None:
+            while True:
+                with contextlib.suppress(HostlinkError):
+                    world.program.drive(world.robot(), DRIVE)
+                await asyncio.sleep(0.1)
+
+        world.desk_session.put = put  # type: ignore[method-assign]
+        async with meanwhile(stream()):
+            await asyncio.sleep(1.0)
+            assert world.scene.speeds()[-1] == 0.2
+            loop.call_later(0.5, world.scene.hub.robots.find(ROBOT).stop)
+            await asyncio.sleep(0.5 - before_s)
+            began_s = loop.time()
+            world.network.deaf.add("2b")
+            await asyncio.sleep(gap_s)
+            world.network.deaf.clear()
+            began_s, count = math.inf, len(world.scene.speeds())
+            for each in waiting:
+                each()
+            await asyncio.sleep(3.0)
+            assert not any(world.scene.speeds()[count:])
+
+    with_fleet(test)
 
 
 @inside(with_fleet)
