@@ -150,7 +150,7 @@ async def test_of_two_pages_the_one_that_takes_over_drives_until_it_lets_go(brow
         await second.down("KeyS")
         await other.shows("#drive-state", "127.0.0.1) until it lets go")
         await other.page.get_by_role("button", name="Take over").click()
-        await other.shows("#drive-state", "hold the stick to take over")
+        await other.shows("#drive-state", "Hold the stick to take over")
         assert device.moves(1, 0, 0)
         await second.up("KeyS")
         await other.hold("KeyS", lambda: device.moves(-1, 0, 0))

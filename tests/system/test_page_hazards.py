@@ -767,13 +767,28 @@ async def test_a_take_over_begins_while_the_stick_is_still_refused(scene: Scene)
     await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
     await page.get_by_role("button", name="Take over").click()
     await scene.stands()
-    await scene.tab.shows("#drive-state", "client 2 drives: hold the stick to take over")
+    await scene.tab.shows("#drive-state", "Hold the stick to take over from client 2")
     await page.keyboard.up("KeyW")
     scene.server.published.clear()
     state.drive_refusal = {}
     await scene.holds("KeyW")
     assert next(take_overs(scene))
     await page.keyboard.up("KeyW")
+
+
+async def test_a_take_over_is_of_the_robot_for_which_it_was_pressed(scene: Scene) -> None:
+    page, button = scene.tab.page, scene.tab.page.get_by_role("button", name="Take over")
+    scene.server.show(fleet("robot_0", "robot_1", holder="client 2", priority=60))
+    await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
+    await button.click()
+    await scene.tab.shows("#drive-state", "Hold the stick to take over from client 2")
+    await page.locator("#robots .robot", has_text="robot_1").click()
+    await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
+    await expect_page(button).to_be_visible()
+    await scene.holds("KeyW", "robot_1")
+    assert not any(take_overs(scene))
+    await page.keyboard.up("KeyW")
+    await page.locator("#robots .robot", has_text="robot_0").click()
 
 
 @pytest.mark.long
@@ -786,7 +801,7 @@ async def test_page_that_is_held_by_another_page_shows_who_and_takes_over_by_its
     server.show(fleet("robot_0", holder="client 2", priority=60))
     await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
     await button.click()
-    await scene.tab.shows("#drive-state", "client 2 drives: hold the stick to take over")
+    await scene.tab.shows("#drive-state", "Hold the stick to take over from client 2")
     assert not await button.is_visible()
     await scene.holds("KeyW")
     await expect(lambda: [*take_overs(scene)][:1] == [True])

@@ -164,7 +164,7 @@ CASES = {
         "#drive-state",
         "with a higher priority",
     ),
-    "driven": Case(driven, "#drive-state", "drives"),
+    "driven": Case(driven, "#drive-state", "Driven by client 1"),
     "held": Case(held, "#drive-state", "until it lets go"),
     "played": Case(played, "#robots", "played_0"),
     "sick": Case(sick, ".diagnosis", "announces"),

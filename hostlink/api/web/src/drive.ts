@@ -95,6 +95,7 @@ export class Drive {
     const { robot } = this.fleet;
     if (robot?.name !== this.target?.name || robot?.velocity_topic !== this.target?.velocity_topic) {
       this.driving.releaseAll(); // the zeros are sent to the robot that was driven
+      this.takesOver = false;
     }
     this.target = robot;
     const isSideways = robot !== undefined && hasSideways(robot);
@@ -153,7 +154,7 @@ export class Drive {
     const driver = this.driver(robot);
     if (driver === "you") return ["driving", "You drive"];
     if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `${driver} drives with a higher priority`];
-    if (this.takesOver) return ["other", `${driver} drives: hold the stick to take over`];
+    if (this.takesOver) return ["other", `Hold the stick to take over from ${driver}`];
     if (this.isHeldByEqual(robot)) return ["other", `Driven by ${driver} until it lets go`];
     if (driver !== null) return ["other", `${driver} drives: your stick takes over`];
     return ["idle", "Ready: no driver"];
