@@ -16,6 +16,7 @@ NO_POSE = {  # flaws that leave no pose, and what they are called
     "zero_quaternion": "orientations that are four zeros",
     "heading_in_z": "orientations of which only z is set, to a heading",
     "bad_quaternion": "orientations of a length far from 1",
+    "sent_back": "poses that it was given",
 }
 
 LEAST_M_S, LEAST_RAD_S = 0.1, 0.3  # slower commands do not turn the wheels of every robot

@@ -220,7 +220,7 @@ class Drivable(VelocityTarget):
 
     @property
     def no_stop(self) -> str:
-        """Why its device cannot be stopped although it takes a zero; empty if it can."""
+        """Return why its device cannot be stopped although it takes a zero; empty if it can."""
         service = None if self.connection is None else self.connection.settings.stop_service
         if service is None or self.stop_call is not None:
             return ""

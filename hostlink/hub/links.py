@@ -210,7 +210,7 @@ class Links:
     def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
         service = device.services.get(event.service.name)
         is_answered = service is not None and service.answered(event.payload)
-        if not is_answered and event.service.name != device.settings.stop_service:  # nobody waits for that of a zero
+        if not is_answered and event.service.name != device.settings.stop_service:  # no call waits for those of zeros
             self.late_answers += 1
             log.warning("service.late", service=printable(event.service.name))
 

@@ -19,6 +19,7 @@ from hostlink.robot.kinematics import (
     SkidSteerDrive,
     Steering,
 )
+from hostlink.robot.ros_messages import POSE_VARIANCES, TWIST_VARIANCES, covariance_of
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from hostlink.sim.board import SimulatedBoard
 
@@ -47,7 +48,7 @@ ODOMETRY_MD5 = "cd5e73d190d741a2f92e81eda573aca7"
 _STAMP = Struct("<III")  # sequence number, seconds, nanoseconds
 _TIME = Struct("<II")
 _POSE = Struct("<7d")
-_COVARIANCE = bytes(36 * 8)
+_COVARIANCE = Struct("<36d")
 _NS = 1_000_000_000
 
 
@@ -198,9 +199,9 @@ class KinematicRobot(SimulatedBoard):
                 _text(f"{self.name}/odom"),
                 _text(f"{self.name}/base_link"),
                 _POSE.pack(pose.x_m, pose.y_m, 0.0, 0.0, 0.0, math.sin(half_rad), math.cos(half_rad)),
-                _COVARIANCE,
+                _COVARIANCE.pack(*covariance_of(POSE_VARIANCES)),
                 self.drive.velocity(self.wheels_m_s).encode(),
-                _COVARIANCE,
+                _COVARIANCE.pack(*covariance_of(TWIST_VARIANCES)),
             )
         )
 

@@ -764,7 +764,7 @@ async def test_a_take_over_begins_while_the_stick_is_still_refused(scene: Scene)
     state.drive_refusal = {"kind": "held", "reason": "robot_0: client 2 drives it with the same priority"}
     scene.server.show(state)
     await scene.holds("KeyW")
-    await scene.tab.shows("#drive-state", "client 2 drives until it lets go")
+    await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
     await page.get_by_role("button", name="Take over").click()
     await scene.stands()
     await scene.tab.shows("#drive-state", "client 2 drives: hold the stick to take over")
@@ -784,7 +784,7 @@ async def test_page_that_is_held_by_another_page_shows_who_and_takes_over_by_its
     await scene.tab.shows("#drive-state", "your stick takes over")  # from a program, as ever
     assert not await button.is_visible()
     server.show(fleet("robot_0", holder="client 2", priority=60))
-    await scene.tab.shows("#drive-state", "client 2 drives until it lets go")
+    await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
     await button.click()
     await scene.tab.shows("#drive-state", "client 2 drives: hold the stick to take over")
     assert not await button.is_visible()

@@ -34,6 +34,7 @@ def found(monitor: MotionMonitor, now_s: float = 1.0, **facts: object) -> dict[s
             "heading_in_z",
             "10 orientations of which only z is set, to a heading of 10 messages on /odom",
         ),
+        ("sent_back", "pose_sent_back", "10 poses that it was given of 10 messages on /odom"),
         ("zero_stamp", "bad_stamp", "10 stamps of 0 of 10 messages on /odom"),
         ("slash_frame", "slash_frame", '"/odom"; 10 frames with a slash of 10 messages on /odom'),
         ("zero_covariance", "zero_covariance", "10 covariances of zeros of 10 messages on /odom"),
@@ -48,7 +49,9 @@ def test_flaw_of_most_messages_is_a_finding_until_they_are_old(flaw: str, code: 
     assert found(monitor, 2.0 + RECENT_S) == {}
 
 
-@pytest.mark.parametrize("flaw", ["not_finite", "zero_quaternion", "heading_in_z", "zero_stamp", "zero_covariance"])
+@pytest.mark.parametrize(
+    "flaw", ["not_finite", "zero_quaternion", "heading_in_z", "sent_back", "zero_stamp", "zero_covariance"]
+)
 def test_flaw_of_two_messages_is_not_a_finding(flaw: str) -> None:
     monitor = monitored((flaw,), 2)
     for number in range(20):

@@ -1,4 +1,4 @@
-"""A board that ignores a zero and stops by a service: each zero of its robot comes with a call of the service."""
+"""Board that ignores a zero and stops by a service: its robot calls the service with each zero."""
 
 import asyncio
 
@@ -40,7 +40,7 @@ async def drives(made: MemoryHub, device: ScriptedDevice) -> None:
 
 
 @pytest.mark.parametrize("type_name", ["std_srvs/Empty", "std_srvs/Trigger"])
-def test_every_zero_comes_with_a_call_of_the_service(type_name: str) -> None:
+def test_every_zero_calls_the_service(type_name: str) -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect(board(type_name))
         await asyncio.sleep(2 * LEASE_S)
@@ -61,7 +61,7 @@ def test_every_zero_comes_with_a_call_of_the_service(type_name: str) -> None:
     in_hub(test, CONFIG)
 
 
-def test_answers_of_the_service_are_no_late_answers() -> None:
+def test_answer_of_the_service_is_not_counted_as_late() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect(board())
         await asyncio.sleep(LEASE_S)

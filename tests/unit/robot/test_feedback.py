@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.errors import BadPayload, ConfigError
-from hostlink.robot.feedback import RECOGNISED, Feedback, FeedbackKind, FeedbackSettings, recognised
+from hostlink.robot.feedback import RECOGNISED, SENT_BACK, Feedback, FeedbackKind, FeedbackSettings, recognised
 from hostlink.robot.kinematics import PLANAR, DifferentialDrive, Drive, Pose, SkidSteerDrive
 from hostlink.robot.readings import ODOMETRY_TYPE, OdometryReading
 from hostlink.robot.velocity import PlanarVelocity
@@ -46,6 +46,42 @@ def feed(feedback: Feedback, left: int, right: int, now_s: float, code: str = "h
         raw = (count % (1 << bits)).to_bytes(bits // 8, "little")
         found = feedback.read(name, raw, now_s=now_s)
     return found
+
+
+# -- poses that the device was given ----------------------------------------------------------------------------------
+
+
+def pose2d(pose: Pose) -> bytes:
+    return struct.pack("<3d", *pose)
+
+
+def test_pose_that_the_device_was_given_and_sends_back_is_left_out() -> None:
+    feedback = Feedback([("odom", "geometry_msgs/Pose2D")], RECOGNISED, PLANAR)
+    given_poses = [Pose(number / 10, 0.0, 0.1) for number in range(10)]
+    found = []
+    for pose in given_poses:
+        feedback.note_given(pose)
+        sent = struct.unpack("<3f", struct.pack("<3f", *pose))  # as a board rounds it
+        found.append(feedback.read("odom", struct.pack("<3d", *sent), now_s=0.0))
+    left_out = [each is not None and each.pose is None and each.flaws == ("sent_back",) for each in found]
+    assert left_out == [False] * (SENT_BACK - 1) + [True] * (11 - SENT_BACK)
+    again = feedback.read("odom", pose2d(given_poses[-1]), now_s=0.0)  # at rest
+    assert again is not None
+    assert again.is_empty
+    own = feedback.read("odom", pose2d(Pose(0.95, 0.01, 0.1)), now_s=0.0)  # it counts by itself after all
+    assert own is not None
+    assert own.pose is not None
+
+
+def test_device_that_counts_on_from_the_poses_that_it_is_given_is_believed() -> None:
+    feedback = Feedback([("odom", "geometry_msgs/Pose2D")], RECOGNISED, PLANAR)
+    for number in range(20):
+        feedback.note_given(Pose(float(number), 0.0, 0.0))  # a localisation corrects it
+        for step in range(3):
+            found = feedback.read("odom", pose2d(Pose(number + step / 100, 0.0, 0.0)), now_s=0.0)
+            assert found is not None
+            assert found.pose is not None
+        feedback.note_given(Pose(float(number), 0.0, 0.0))
 
 
 # -- which topic ------------------------------------------------------------------------------------------------------

@@ -332,14 +332,32 @@ def test_every_topic_has_one_role_of_which_the_command_precedes() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    "topics",
+    [("left_rpm", "right_rpm"), ("M1", "M2"), ("left", "right"), ("front_left", "front_right"), ("fl", "fr"), ("esc",)],
+)
+def test_usual_names_of_motors_look_like_motion(topics: tuple[str, ...]) -> None:
+    assert names(unguarded([to(name, INT16) for name in topics])) == list(topics)
+
+
+@pytest.mark.parametrize("name", ["describe", "leftover", "m10_led", "door"])
+def test_other_names_of_numbers_do_not(name: str) -> None:
+    assert unguarded([to(name, INT16)]) == []
+
+
+def test_a_trigger_that_names_a_direction_is_an_actuator() -> None:
+    topics = [to(name, "std_msgs/Empty") for name in ("forward", "left", "toggle_led")]
+    assert names(actuators(topics)) == ["forward", "left"]
+
+
 def test_the_name_of_a_robot_does_not_tell_what_its_topics_are_for() -> None:
     gains = to("/big_wheel/gains_left", "geometry_msgs/Vector3")
     left = to("/big_wheel/left_motor", INT16)
-    command = to("/big_wheel/cmd_vel")
-    assert names(unguarded([command, gains, left], guarded=[command.name])) == [left.name]
+    drive = to("/big_wheel/cmd_vel")
+    assert names(unguarded([drive, gains, left], guarded=[drive.name])) == [left.name]
     assert names(unguarded([gains, left])) == [gains.name, left.name]  # not of a robot: the namespace tells of motion
-    command = to("/wheels/cmd_vel")
-    assert names(unguarded([command, to("/wheels/left", INT16)], guarded=[command.name])) == ["/wheels/left"]
+    drive = to("/wheels/cmd_vel")
+    assert names(unguarded([drive, to("/wheels/left", INT16)], guarded=[drive.name])) == ["/wheels/left"]
 
 
 # -- suggestions ------------------------------------------------------------------------------------------------------
@@ -368,7 +386,6 @@ def numbers(*topics: str, type_name: str = INT16) -> list[Endpoint]:
             ["motor_traction_left", "motor_traction_right", "control_mode"],
             ["motor_traction_left", "motor_traction_right"],
         ),
-        (["throttle", "steering"], ["throttle"]),
         (["steering"], ["steering"]),
         (["motor1", "motor2"], ["motor1", "motor2"]),
     ],
@@ -410,6 +427,19 @@ def test_suggestion_for_each_type() -> None:
 def test_suggestion_for_a_robot_lets_its_lock_refuse_the_topics_and_keeps_its_command() -> None:
     text = suggestion([to("motor", INT16), to("target", TWIST)], "a", "10.0.0.1", is_robot=True)
     assert tomllib.loads(text) == {"robots": {"a": {"locked_topics": ["motor", "target"]}}}
+
+
+def test_suggestion_for_a_car_and_for_a_vector() -> None:
+    car = {"throttle": {"topics": ["esc_speed", "steer_cmd"], "unit": "pwm"}}
+    assert suggested(*numbers("steer_cmd", "esc_speed")) == car
+    assert suggested(*numbers("throttle", "steering")) == {
+        "throttle": {"topics": ["throttle", "steering"], "unit": "pwm"}
+    }
+    assert suggested(*numbers("steer_cmd", "left_motor", "right_motor")) == {
+        "wheels": {"topics": ["left_motor", "right_motor"], "unit": "pwm"}
+    }
+    vector = {"vector": {"topic": "cmd", "fields": ["x", "y", "yaw"]}}
+    assert suggested(to("cmd", "geometry_msgs/Vector3")) == vector
 
 
 def test_suggestion_for_what_cannot_be_encoded_lets_a_lock_refuse_it() -> None:

@@ -154,7 +154,7 @@ export class Drive {
     if (driver === "you") return ["driving", "You drive"];
     if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `${driver} drives with a higher priority`];
     if (this.takesOver) return ["other", `${driver} drives: hold the stick to take over`];
-    if (this.isHeldByEqual(robot)) return ["other", `${driver} drives until it lets go`];
+    if (this.isHeldByEqual(robot)) return ["other", `Driven by ${driver} until it lets go`];
     if (driver !== null) return ["other", `${driver} drives: your stick takes over`];
     return ["idle", "Ready: no driver"];
   }
