@@ -240,7 +240,7 @@ def test_command_that_is_repeated_at_once_because_it_was_refused_is_admitted(dri
     driven.wait(LEASE_S)
     assert driven.command(source="bob", priority=60).is_admitted
     assert driven.command().kind is RefusalKind.HELD
-    assert driven.command(priority=60).is_admitted
+    assert driven.command(priority=70).is_admitted
 
 
 def test_commands_that_tell_when_they_were_sent_may_come_together(robot: Timeline) -> None:
