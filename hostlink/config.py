@@ -232,6 +232,24 @@ class WheelsConfig:
             raise ValueError("wheels.full must not be zero")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThrottleConfig:
+    """Topics with a number for the throttle and one for the steering of a car, instead of a velocity."""
+
+    topics: tuple[str, ...]  # throttle, steering
+    unit: Literal["m_s", "pwm"] = "m_s"  # of the throttle
+    full: float = 255.0  # of unit = "pwm": the number at the highest speed
+    rest: float = 0.0  # of the throttle
+    steering_full: float | None = None  # number at max_steering_rad to the left; None: the angle in rad
+    steering_rest: float = 0.0  # number straight ahead
+
+    def __post_init__(self) -> None:
+        if not len(self.topics) == len(set(self.topics)) == _PAIR:
+            raise ValueError('throttle.topics must be two, for example ["throttle", "steering"]')
+        if self.full == 0 or self.steering_full == 0:
+            raise ValueError("throttle.full and steering_full must not be zero")
+
+
 Unit = Literal["ticks", "rad", "m", "ticks/s", "rad/s", "rpm", "m/s"]
 
 
@@ -272,6 +290,19 @@ class FeedbackConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class VectorConfig:
+    """Topic of type geometry_msgs/Vector3 by which a robot is driven, in m/s and rad/s."""
+
+    topic: str = "cmd"
+    fields: tuple[Literal["x", "y", "yaw", ""], ...] = ("x", "y", "yaw")  # what its x, y and z are; "": always 0
+
+    def __post_init__(self) -> None:
+        used = [each for each in self.fields if each]
+        if len(self.fields) > _COMPONENTS or len(set(used)) < len(used) or not used:
+            raise ValueError('vector.fields must be one to three of "x", "y" and "yaw", for example ["x", "yaw"]')
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class JoyConfig:
     """Topic of type sensor_msgs/Joy by which a robot is driven. Axes and buttons are numbered from 0."""
 
@@ -301,6 +332,8 @@ class WordsConfig:
     stop: str
 
 
+_PAIR = 2  # throttle and steering
+_COMPONENTS = 3  # of a Vector3
 MAX_WHEELS = 8
 MAX_JOY = 64  # axes and buttons of a Joy
 MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
@@ -352,17 +385,23 @@ class RobotConfig:
     wheels: WheelsConfig | None = None
     joy: JoyConfig | None = None
     words: WordsConfig | None = None
+    throttle: ThrottleConfig | None = None
+    vector: VectorConfig | None = None
     not_commands: tuple[str, ...] = ()  # topics that command no motion, with any name and type
     locked_topics: tuple[str, ...] = ()  # further topics that a lock refuses, for example of servos
+    stop_service: str | None = None  # std_srvs/Empty or Trigger of the device that is called with each zero
     # What tells of its motion; without either it is recognised.
     encoders: EncodersConfig | None = None
     feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
 
     def __post_init__(self) -> None:
-        ways = {"command_topic": self.command_topic, "wheels": self.wheels, "joy": self.joy, "words": self.words}
+        names = ("command_topic", "wheels", "joy", "words", "throttle", "vector")
+        ways = {name: getattr(self, name) for name in names}
         given = [name for name, each in ways.items() if each is not None]
         if len(given) > 1:
             raise ValueError(f"{given[0]} and {given[1]} are two ways to command one robot: choose one")
+        if self.throttle is not None and self.kinematics not in ("", "ackermann"):
+            raise ValueError(f'throttle is the command of a car: it does not fit kinematics = "{self.kinematics}"')
         if self.address is not None and self.devices:
             raise ValueError("address and devices are two ways to say where the robot is: choose one")
         if len(set(self.devices)) < len(self.devices) or len(self.devices) > MAX_DEVICES:

@@ -1,6 +1,9 @@
 """A host that vanishes from a fleet: each daemon in a network namespace of its own, all on one bridge.
 
-Needs root and iproute2. Each host has a daemon, a robot, and a program there that drives it. One host after the other
+Needs root and iproute2. Each host has a daemon, a robot, and a program there that drives it with `drive`, which tells
+when each command was sent. A program that is silent for a lease lets go of its robot, and may drive it again after a
+stop: on a machine that is too busy, a program of this tool does so against its will. By the times of its own sending
+this is told apart, in `let_go_s`: for how long it was silent. One host after the other
 is cut off (`--fault cut`), also killed in the same moment (`power`), or half of them at once (`half`). Four seconds
 later a healthy host stops every robot. Prints JSON: for how long healthy hosts did not hear each other, when the stop
 reached their robots and how it was answered, when the hosts were seen again after the network was, and when the stop
@@ -13,6 +16,7 @@ import asyncio
 import contextlib
 import ctypes
 import functools
+import itertools
 import json
 import os
 import signal
@@ -29,6 +33,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
+from hostlink.errors import RefusalKind
+from hostlink.robot.admission import LEASE_S
 from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, pose, robot_topics
 from tools.crowd import TIME
@@ -38,7 +44,6 @@ CLONE_NEWNET = 0x40000000
 DEAF_S, STOPPED_S, AGAIN_S, IN_FORCE_S = 2.0, 1.0, 20.0, 3.0  # promised; the machine may be busy
 STOP_AFTER_S, WATCH_S, POLL_S, COMMAND_S, TIMEOUT_S = 4.0, 12.0, 0.5, 0.1, 180.0
 SPEED_M_S = 0.2
-REFUSED = 409
 API, DEVICES = "http://127.0.0.1:9090", ("127.0.0.1", 11411)
 
 
@@ -67,6 +72,7 @@ class Host:
         self.number, self.namespace, self.robot = number, f"{prefix}-{number}", f"robot_{number}"
         self._hub = f"{prefix}-hub"
         self.velocities: list[tuple[float, float]] = []  # when, m/s
+        self.sent_s: list[float] = []  # times of the program's commands
         self.is_driving = False
         self.may_arm = True  # until a stop is measured
         self._config = config
@@ -114,11 +120,30 @@ class Host:
         robots = (await self.request("GET", "/api/robots"))[1].get("robots", ())
         return {each["name"] for each in robots if each["connected"]}
 
-    def stopped_after_s(self, since_s: float) -> float:
-        """Seconds until the robot's last velocity of this time was zero; infinite if it still moves."""
-        last_s = max((at_s for at_s, speed in self.velocities if speed), default=since_s)
-        zero_s = min((at_s for at_s, speed in self.velocities if not speed and at_s > last_s), default=float("inf"))
-        return max(zero_s - since_s, 0.0)  # 0: it was at zero already
+    def stopped_after_s(self, since_s: float) -> tuple[float, float]:
+        """Return the seconds until the robot was stopped for good, and for how long its program was silent.
+
+        They are infinite if it still moves, and 0 if it was at zero already. If it moves again because its program let
+        go, what follows does not count; otherwise the silence is 0.
+        """
+        velocities, silence_s = self._until_let_go(since_s)
+        last_s = max((at_s for at_s, speed in velocities if speed), default=since_s)
+        zero_s = min((at_s for at_s, speed in velocities if not speed and at_s > last_s), default=float("inf"))
+        return max(zero_s - since_s, 0.0), silence_s
+
+    def _until_let_go(self, since_s: float) -> tuple[list[tuple[float, float]], float]:
+        """Return the velocities until the robot begins to move after a lease in which its program sent nothing."""
+        for number, ((_, before), (at_s, speed)) in enumerate(itertools.pairwise(self.velocities), 1):
+            if at_s > since_s and speed and not before:
+                silence_s = self.longest_silence_s(since_s, at_s)
+                if silence_s >= LEASE_S:
+                    return self.velocities[:number], silence_s
+        return self.velocities, 0.0
+
+    def longest_silence_s(self, since_s: float, until_s: float) -> float:
+        """Return the longest time between two commands of the program, the second of which is of this time."""
+        ends = itertools.pairwise(self.sent_s)
+        return max((after_s - before_s for before_s, after_s in ends if since_s < after_s <= until_s), default=0.0)
 
     async def _be_robot(self) -> None:
         while True:
@@ -141,13 +166,28 @@ class Host:
             await asyncio.sleep(0.1)
 
     async def _drive(self) -> None:
+        """Send commands without waiting for their answers."""
         while True:
-            if self.is_driving:
-                velocity = {"linear": SPEED_M_S, "angular": 0.0}
-                status, _ = await self.request("PUT", f"/api/robots/{self.robot}/velocity", json=velocity)
-                if status == REFUSED and self.may_arm:  # a pause of its busy daemon has disarmed it
-                    await self.request("PUT", f"/api/robots/{self.robot}/velocity", json=dict.fromkeys(velocity, 0.0))
-            await asyncio.sleep(COMMAND_S)
+            with contextlib.suppress(aiohttp.ClientError, OSError, ExceptionGroup):
+                async with self._session.ws_connect("/") as socket, meanwhile(self._arm(socket)):
+                    while not socket.closed:
+                        if self.is_driving:
+                            self.sent_s.append(now_s())
+                            await self._send(socket, SPEED_M_S, self.sent_s[-1])
+                        await asyncio.sleep(COMMAND_S)
+            await asyncio.sleep(0.5)
+
+    async def _arm(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        """Read the answers. A pause of a busy daemon disarms its programs: let go, unless a stop is measured."""
+        async for message in socket:
+            if message.type is aiohttp.WSMsgType.TEXT:
+                answer = json.loads(message.data)
+                if answer.get("kind") == RefusalKind.DISARMED and self.may_arm:
+                    await self._send(socket, 0.0, now_s())
+
+    async def _send(self, socket: aiohttp.ClientWebSocketResponse, speed_m_s: float, sent_s: float) -> None:
+        command = {"op": "drive", "id": "1", "robot": self.robot, "linear": speed_m_s, "angular": 0.0}
+        await socket.send_str(json.dumps(command | {"sent_s": sent_s}))
 
     def _socket(self) -> socket.socket:
         with inside(self.namespace):
@@ -201,7 +241,8 @@ async def vanish(hosts: list[Host], number: int, fault: str) -> dict[str, float]
         stop_s = now_s()
         status, _ = await healthy[0].request("POST", "/api/stop")
         await asyncio.sleep(1.0)
-    stopped_s = max(host.stopped_after_s(stop_s) for host in healthy)
+    stops = {host.robot: host.stopped_after_s(stop_s) for host in healthy}
+    silent_s = [host.longest_silence_s(stop_s, now_s()) for host in healthy]
     up_s = now_s()
     for host in gone:
         host.plug(is_in=True)
@@ -211,20 +252,23 @@ async def vanish(hosts: list[Host], number: int, fault: str) -> dict[str, float]
     await all_seen(hosts)
     again_s = now_s() - up_s
     await asyncio.sleep(IN_FORCE_S)
-    in_force_s = 0.0 if fault == "power" else max(host.stopped_after_s(up_s) for host in gone) - again_s
+    later = {} if fault == "power" else {host.robot: host.stopped_after_s(up_s) for host in gone}
+    in_force_s = max((after_s for after_s, _ in later.values()), default=0.0) - again_s
     for host in hosts:
         host.is_driving, host.may_arm = False, True
     await asyncio.sleep(1.0)
     found = {
         "deaf_s": max(each.result() for each in watched),
-        "stopped_s": stopped_s,
+        "stopped_s": max(after_s for after_s, _ in stops.values()),
         "answer": status,
         "again_s": again_s,
         "in_force_s": max(in_force_s, 0.0),
     }
     shown = {name: round(value, 2) for name, value in found.items()}
     ran = {"gone": [host.number for host in gone], "watched_s": round(up_s - began_s, 1), "load": os.getloadavg()[0]}
-    print(json.dumps({**ran, **shown}), flush=True)
+    let_go = {robot: round(silence_s, 2) for robot, (_, silence_s) in (stops | later).items() if silence_s}
+    steady = sum(silence_s < LEASE_S for silence_s in silent_s)  # programs that never were silent for a lease
+    print(json.dumps({**ran, **shown, "let_go_s": let_go, "steady": f"{steady} of {len(healthy)}"}), flush=True)
     return found
 
 

@@ -19,7 +19,7 @@ from hostlink.hub.byte_budget import ByteBudget, Share
 from hostlink.hub.queue import Queue
 from hostlink.hub.topic import Topic
 from hostlink.logs import printable
-from hostlink.robot.admission import UNORDERED_S
+from hostlink.robot.admission import UNORDERED_S, Resumption
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
 
 MANY = 64  # waiting messages above which a client floods: more than a second of commands at 50 Hz
@@ -50,6 +50,7 @@ class Operation(Generic[Content]):
     is_zero: bool = False
     replaced: list[Content] = field(default_factory=list)  # velocities that this one replaces
     since_s: float = field(init=False)  # when the first of those came, or else this one; set by the queue
+    is_kept: bool = False  # only a zero replaces it
 
 
 class ClientProgram(Protocol[Content]):
@@ -79,7 +80,8 @@ class OperationQueue(Generic[Content]):
     other terms are equal. Between the two came only velocities for other robots or topics, by the same operation: any
     other message may change the decision about the newer one. And the newer one came less than UNORDERED_S after the
     older one: if another client stopped the robot between them, the older one must disarm its source. A zero replaces
-    velocities of any age, and is never replaced.
+    velocities of any age, and is never replaced. After a silence of the connection, the first velocity of those that
+    wait is kept: it shows the admission that they waited for the network.
     """
 
     def __init__(
@@ -101,6 +103,7 @@ class OperationQueue(Generic[Content]):
         self.is_flooding = False  # more than MANY wait: executed after other clients' turns until none waits
         self.has_room = True  # otherwise the rest waits in the socket
         self._came_s: float | None = None  # of the newest message; None: none yet
+        self._resumption = Resumption()
         self._messages_s, self._credit = messages_s, messages_s  # a token bucket
         self._credit_at_s = float("-inf")
         self.debt_s = 0.0  # time for which the client must be silent to be within its message rate again
@@ -152,6 +155,7 @@ class OperationQueue(Generic[Content]):
                 if velocity_of.operation != self._velocities_by:
                     velocities.clear()
                     self._velocities_by = velocity_of.operation
+                new.is_kept = self._resumption.is_recent(new.came_s) and velocity_of.target not in velocities
                 older = velocities.pop(velocity_of.target, None)
                 if older is not None and _is_replaced(operations[older], new):
                     replaced = operations.pop(older)
@@ -177,7 +181,7 @@ class OperationQueue(Generic[Content]):
 
 
 def _is_replaced(older: Operation[Content], newer: Operation[Content]) -> bool:
-    is_soon = newer.is_zero or newer.came_s < older.since_s + UNORDERED_S
+    is_soon = newer.is_zero or (newer.came_s < older.since_s + UNORDERED_S and not older.is_kept)
     return is_soon and older.velocity_of == newer.velocity_of
 
 

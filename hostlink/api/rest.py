@@ -476,8 +476,8 @@ class Rest:
         """
         robot, since_s = self._find(request), loop_time_s()
         robot.stop(by=_caller(request))
-        await self._hub.gates.settled()
-        return await self._measured(request, since_s, robot, endpoints=robot.unguarded_endpoints)
+        endpoints = [*await self._hub.gates.settled(), *robot.unguarded_endpoints]
+        return await self._measured(request, since_s, robot, endpoints=endpoints)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
         """Stop every robot and board. Answers with the measured result after wait_s seconds at most (1.5).
@@ -486,7 +486,7 @@ class Rest:
         """
         since_s = loop_time_s()
         endpoints = self._hub.robots.stop_all(by=_caller(request))
-        await self._hub.gates.settled()
+        endpoints += await self._hub.gates.settled()
         return await self._measured(request, since_s, endpoints=endpoints)
 
     async def _standstill(self, request: web.Request) -> web.Response:
@@ -529,7 +529,7 @@ class Rest:
             robots.lock_all(LOCK_REASON, by=by)
             raise
         endpoints = robots.lock_all(body.reason, by=by)
-        await self._hub.gates.settled()
+        endpoints += await self._hub.gates.settled()
         return await self._measured(request, since_s, endpoints=endpoints)
 
     async def _unlock_all(self, request: web.Request) -> web.Response:
@@ -547,8 +547,8 @@ class Rest:
             robot.lock(by=_caller(request))
             raise
         robot.lock(body.reason, by=_caller(request))
-        await self._hub.gates.settled()
-        return await self._measured(request, since_s, robot, endpoints=robot.unguarded_endpoints)
+        endpoints = [*await self._hub.gates.settled(), *robot.unguarded_endpoints]
+        return await self._measured(request, since_s, robot, endpoints=endpoints)
 
     async def _unlock(self, request: web.Request) -> web.Response:
         """Unlock the robot."""

@@ -246,6 +246,7 @@ def command_endpoint_view(endpoint: CommandEndpoint) -> CommandEndpointView:
         "is_locked": endpoint.is_locked,
         "is_zero_sent": not endpoint.reason,
         "reason": endpoint.reason,
+        "host": endpoint.host,
     }
 
 

@@ -264,7 +264,9 @@ def sent_sentence(robot: RobotState) -> str:
 
 def endpoint_sentence(endpoint: CommandEndpoint, *, done: str = "") -> str:
     """Return what a stop or a lock of all has done to a topic that is not a robot's, as a sentence."""
-    place = f"{endpoint['topic']} of link {endpoint['link']} ({endpoint['peer']})"
+    host = endpoint.get("host")  # an older daemon names none
+    at_host = "" if host is None else f" at {host}"
+    place = f"{endpoint['topic']} of link {endpoint['link']} ({endpoint['peer']}){at_host}"
     is_locked = f" {done};" if done and endpoint["is_locked"] else ""
     if not endpoint["is_zero_sent"]:
         step = "`hostlink robots --explain` shows the setting that makes a robot of it"

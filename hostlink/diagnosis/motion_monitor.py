@@ -16,6 +16,7 @@ NO_POSE = {  # flaws that leave no pose, and what they are called
     "zero_quaternion": "orientations that are four zeros",
     "heading_in_z": "orientations of which only z is set, to a heading",
     "bad_quaternion": "orientations of a length far from 1",
+    "sent_back": "poses that it was given",
 }
 
 LEAST_M_S, LEAST_RAD_S = 0.1, 0.3  # slower commands do not turn the wheels of every robot
@@ -125,11 +126,10 @@ class MotionMonitor:
             self._past.popleft()
 
     def evidence(self, now_s: float) -> MotionEvidence:
-        """Return the evidence of the last RECENT_S."""
+        """Return the evidence of the RECENT_S before the last sample, and of what came since."""
         counts = Counter(self._now)
-        for at_s, each in self._past:
-            if at_s > now_s - RECENT_S:
-                counts.update(each)
+        for _, each in self._past:
+            counts.update(each)
         text, at_s = self._disagreement
         disagreement = text if now_s - at_s < RECENT_S else ""
         return MotionEvidence(self.topic, self._total, counts, self.frame_id, disagreement)

@@ -251,6 +251,11 @@ def _heading_in_z(evidence: Evidence) -> str | None:
     return _on(evidence, f"{count} {NO_POSE['heading_in_z']}") if count >= FLAWED else None
 
 
+def _pose_sent_back(evidence: Evidence) -> str | None:
+    count = evidence.motion.counts.get("sent_back", 0)
+    return _on(evidence, f"{count} {NO_POSE['sent_back']}") if count >= FLAWED else None
+
+
 def _slash_frame(evidence: Evidence) -> str | None:
     found = _flawed(evidence, "slash_frame", "frames with a slash")
     return found and f'"{_excerpt(evidence.motion.frame_id.encode())}"; {found}'
@@ -314,6 +319,7 @@ _RULES: dict[str, Rule] = {
     "bad_pose": _bad_pose,
     "heading_in_z": _heading_in_z,
     "bad_quaternion": _bad_quaternion,
+    "pose_sent_back": _pose_sent_back,
     "line_full": _line_full,
     "odometry_unsent": _odometry_unsent,
     "odometry_jumps": _odometry_jumps,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import structlog
 
 from hostlink.config import RobotConfig
-from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind, WrongType
+from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, WrongType
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.gates import Drivable, Echo, LostEndpoint
 from hostlink.hub.message import Message
@@ -40,6 +40,7 @@ from hostlink.robot.model import (
 )
 from hostlink.robot.names import Presence
 from hostlink.robot.parts import Membership
+from hostlink.robot.readings import POSE_TYPES, READERS
 from hostlink.robot.state import BATTERY_TYPE
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
@@ -139,6 +140,7 @@ class CommandEndpoint(NamedTuple):
     is_guarded: bool
     is_locked: bool
     reason: str = ""
+    host: str | None = None  # name of its daemon; None for this one
 
 
 class Device:
@@ -477,6 +479,8 @@ class Device:
         if drivable is None:
             is_reset = robot is not None and info.name == robot.topics.reset
             send = partial(self._send, info.name, robot if is_reset else None)
+            if info.type in POSE_TYPES:
+                send = partial(self._send_pose, info)
             subscription = DeviceSubscription(send, is_gate=False, is_command=is_reset)
         else:
             subscription = DeviceSubscription(drivable.receive, is_gate=True)
@@ -535,6 +539,18 @@ class Device:
             reset.feedback.reset_pose()
         self.link.session.publish(name, message.payload, depth=COMMAND_DEPTH)
         self.link.wake()
+
+    def _send_pose(self, info: TopicInfo, message: Message) -> None:
+        """Send a pose to the device, which may only send it back as its own; as `_send`."""
+        robot = self._robot
+        if robot is not None:
+            try:
+                pose = READERS[info.type](message.payload).pose
+            except BadPayload:  # the session refuses it
+                pose = None
+            if pose is not None:
+                robot.feedback.note_given(pose)
+        self._send(info.name, None, message)
 
     def _md5_sums(self, service: str) -> tuple[str, str]:
         sums = {info.kind: info.md5 for info in self.infos if info.name == service}

@@ -40,11 +40,12 @@ from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import STOP_REQUEST, encode
 from hostlink.robot.admission import LEASE_S, Admission, Command, named
 from hostlink.robot.command_types import CommandType, Published, decode_twist
+from hostlink.robot.model import STOP_SERVICE_TYPES
 from hostlink.robot.velocity import ZERO, AnyVelocity, PlanarVelocity, Twist
 from hostlink.robot.velocity_gate import EndedLease, V, VelocityGate
 
 if TYPE_CHECKING:
-    from hostlink.hub.device import Device
+    from hostlink.hub.device import CommandEndpoint, Device
 
 log = structlog.get_logger()
 
@@ -190,6 +191,7 @@ class Drivable(VelocityTarget):
     echoes: dict[str, Echo] = field(default_factory=dict)  # by the topic's name
     # For each command topic: takes its zeros, even if a damaged announcement gave it up; None: none fits.
     endpoints: tuple[TopicInfo | None, ...] = ()
+    stop_call: TopicInfo | None = None  # takes the requests of the service that is called with each zero
     is_lost: bool = False  # the device's announcement lacks it: it only receives zeros
     is_given_up: bool = False  # the device announced twice that it lacks it: detached when its zeros were sent
     resumed_link: int = 0  # number of the link since which no reconnection was an interruption
@@ -215,6 +217,16 @@ class Drivable(VelocityTarget):
     def zeros(self) -> tuple[bytes, ...]:
         """Payload for each command topic that stops the device."""
         return self.commands.encode(ZERO, time.time_ns())
+
+    @property
+    def no_stop(self) -> str:
+        """Return why its device cannot be stopped although it takes a zero; empty if it can."""
+        service = None if self.connection is None else self.connection.settings.stop_service
+        if service is None or self.stop_call is not None:
+            return ""
+        return (
+            f"its device has no service {service} of type {' or '.join(STOP_SERVICE_TYPES)}, which stop_service names"
+        )
 
     def decode(self, message: Message) -> Published:
         """Decode a published command of a type that this device obeys, or a Twist."""
@@ -243,13 +255,32 @@ class RemoteHosts(Protocol):
         """Stop the robots of this name at all other daemons; None means every robot."""
         ...
 
-    def lock(self, name: str, reason: str) -> None:
-        """Lock the robots of this name at all other daemons."""
+    def lock(self, name: str | None, reason: str) -> None:
+        """Lock the robots of this name at all other daemons; None means every robot and every board."""
         ...
 
-    async def settled(self) -> None:
-        """Wait until every daemon has answered the stops, locks and unlocks so far."""
+    def unlock_all(self) -> None:
+        """Unlock the boards of all other daemons that are locked, and the robots there that this one does not know."""
         ...
+
+    async def settled(self) -> "list[CommandEndpoint]":
+        """Wait until every daemon has answered the stops, locks and unlocks so far.
+
+        Return their endpoints that command a motion and are not a robot's.
+        """
+        ...
+
+
+def _stop_call_of(connection: "Device") -> TopicInfo | None:
+    """Return the endpoint of the service that stops a device, by its robot's settings; None if it has none."""
+    service = connection.settings.stop_service
+    if service is None:
+        return None
+    try:
+        info = connection.link.session.service_endpoint(service, b"")
+    except HostlinkError:
+        return None
+    return info if info.type in STOP_SERVICE_TYPES else None
 
 
 class Gates:
@@ -287,6 +318,7 @@ class Gates:
         """
         drivable.connection, drivable.is_lost = connection, lost is not None
         drivable.endpoints = self._endpoints_of(drivable, connection) if lost is None else (lost,)
+        drivable.stop_call = _stop_call_of(connection)
         self.register(drivable.admission)
         if drivable.gate.admission.connect(loop_time_s()):
             drivable.resumed_link = connection.link.number
@@ -360,6 +392,8 @@ class Gates:
         try:
             now_s = asyncio.get_running_loop().time()
             command = self.timed(drivable.name, command, now_s)
+            if drivable.no_stop and not velocity.is_zero:
+                raise CommandRefused(drivable.name, RefusalKind.NOT_CONNECTED, f"{drivable.name}: {drivable.no_stop}")
             # Two zeros at the same time would become one frame on a slow line.
             is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
             driver = gate.owner
@@ -375,6 +409,8 @@ class Gates:
                     self._note_stop(drivable, NOT_TAKEN, str(driver))
                 raise refusal
         except HostlinkError as error:
+            if gate.driver is not None and gate.admission.driver(gate, loop_time_s()) is None:
+                self._step(drivable, loop_time_s(), is_news=True)  # the command has ended the drive of its source
             if not (velocity.is_zero and command.is_planar):
                 self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
             raise
@@ -477,21 +513,21 @@ class Gates:
             for drivable in drivables:
                 self.note_end(drivable, missing)
         for admission in {drivable.admission for drivable in drivables}:
-            if admission.missing != missing:
-                admission.note_missing(missing, now_s)
+            admission.note_missing(missing, now_s)
         for drivable in drivables:
             if missing and drivable.gate.may_move:
                 drivable.gate.stop(now_s=now_s)
                 self._step(drivable, now_s, is_news=True)
 
-    async def settled(self) -> None:
+    async def settled(self) -> "list[CommandEndpoint]":
         """Wait until other daemons have answered the stops, locks and unlocks so far.
+
+        Return their endpoints that command a motion and are not a robot's.
 
         Raises:
             DeviceGone: one of them has not answered.
         """
-        if self.hosts is not None:
-            await self.hosts.settled()
+        return [] if self.hosts is None else await self.hosts.settled()
 
     def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
         """Send zero at once, without the limits. Devices that it does not fit are skipped."""
@@ -656,6 +692,8 @@ class Gates:
             HostlinkError: it does not fit the device; a zero was queued for the topics that it fits.
         """
         refusal: HostlinkError | None = None
+        if is_zero and drivable.stop_call is not None:
+            link.session.send_zero(drivable.stop_call, b"", is_kept=is_kept)
         for topic, payload, info in zip(drivable.commands.topics, payloads, drivable.endpoints, strict=True):
             if info is not None and is_zero and link.session.send_zero(info, payload, is_kept=is_kept):
                 continue
@@ -700,7 +738,8 @@ class Gates:
         """Give link and guardian the frames that stop the device when this process cannot."""
         link, stops = connection.link, connection.stop_frames
         # Without a stamp: that of now would be old by then.
-        for info, zero in zip(drivable.endpoints, drivable.commands.encode(ZERO), strict=True):
+        zeros = [*zip(drivable.endpoints, drivable.commands.encode(ZERO), strict=True), (drivable.stop_call, b"")]
+        for info, zero in zeros:
             if info is not None:
                 frame = encode(info.topic_id, zero)
                 link.last_frame += frame

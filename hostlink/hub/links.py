@@ -209,7 +209,8 @@ class Links:
 
     def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
         service = device.services.get(event.service.name)
-        if service is None or not service.answered(event.payload):
+        is_answered = service is not None and service.answered(event.payload)
+        if not is_answered and event.service.name != device.settings.stop_service:  # no call waits for those of zeros
             self.late_answers += 1
             log.warning("service.late", service=printable(event.service.name))
 
@@ -266,7 +267,7 @@ class Links:
         found = []
         for number, device in self._devices.items():
             link = device.link
-            settings = self._directory.settings_for(device.endpoints, address=link.address, peer=link.peer)
+            settings = self._directory.find(device.endpoints, Origin("", link.address, link.peer))[1]
             if device.infos and settings != device.settings:
                 found.append(number)
         return found

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import msgspec
 import structlog
 
-from hostlink.config import CalibrationConfig, FeedbackConfig, RobotConfig, WheelsConfig
+from hostlink.config import CalibrationConfig, FeedbackConfig, RobotConfig, ThrottleConfig, WheelsConfig
 from hostlink.diagnosis.motion_monitor import RECENT_S, Speed
 from hostlink.errors import BadPayload, CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
 from hostlink.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
@@ -31,8 +31,10 @@ from hostlink.robot.command_types import (
     AckermannCommand,
     CommandType,
     JoyCommand,
+    ThrottleCommand,
     TopicType,
     TwistCommand,
+    VectorCommand,
     WheelCommand,
     WheelScale,
     WordCommand,
@@ -101,7 +103,8 @@ def drive_in(config: RobotConfig, commands: Sequence[TopicType] = ()) -> Drive:
         ConfigError: a dimension is invalid.
     """
     kinematics: str = config.kinematics
-    if kinematics == "" and any(topic.type_name in ACKERMANN_TYPES for topic in commands):
+    is_car = config.throttle is not None or any(topic.type_name in ACKERMANN_TYPES for topic in commands)
+    if kinematics == "" and is_car:
         kinematics = "ackermann"
     elif kinematics == "" and (config.wheels is not None or config.encoders is not None):
         kinematics = "differential"
@@ -140,13 +143,25 @@ def command_settings(config: RobotConfig) -> CommandSettings:
         kinds[CommandKind.JOY] = (config.joy.topic,)
     if config.words is not None:
         kinds[CommandKind.WORDS] = (config.words.topic,)
+    if config.throttle is not None:
+        kinds[CommandKind.THROTTLE] = config.throttle.topics
+    if config.vector is not None:
+        kinds[CommandKind.VECTOR] = (config.vector.topic,)
     kind, topics = next(iter(kinds.items()), (None, ()))
     if kind is None and config.command_topic is not None:
         topics = (config.command_topic,)
     is_spatial = config.kinematics == "spatial"
     ignored, locked = frozenset(config.not_commands), frozenset(config.locked_topics)
     return CommandSettings(
-        kind, topics, config.feedback.topic, ignored, locked, is_spatial, config.devices, config.command_device
+        kind,
+        topics,
+        config.feedback.topic,
+        ignored,
+        locked,
+        is_spatial,
+        config.devices,
+        config.command_device,
+        config.stop_service,
     )
 
 
@@ -160,9 +175,8 @@ def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[
     if len(directions) != count:
         raise ConfigError("wheels", f"{len(directions)} directions for {count} wheels")
     if wheels.unit == "pwm":
-        per_m_s = wheels.full / (config.max_wheel_m_s or config.max_linear_m_s or 1.0)
-        bounds = wheels.rest - abs(wheels.full), wheels.rest + abs(wheels.full)
-        return [WheelScale(per_m_s, direction, wheels.rest, *bounds) for direction in directions]
+        scale = _bounded(wheels.full, wheels.rest, config.max_wheel_m_s or config.max_linear_m_s or 1.0)
+        return [scale._replace(direction=direction) for direction in directions]
     per_m_s = 1.0
     if wheels.unit != "m_s":
         if not config.wheel_radius_m:
@@ -170,6 +184,24 @@ def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[
         per_turn = {"rad_s": math.tau, "rpm": 60.0, "ticks_s": wheels.ticks_per_turn}[wheels.unit]
         per_m_s = per_turn / (math.tau * config.wheel_radius_m)
     return [WheelScale(per_m_s, direction, wheels.rest) for direction in directions]
+
+
+def throttle_scales(
+    throttle: ThrottleConfig, config: RobotConfig, drive: AckermannDrive
+) -> tuple[WheelScale, WheelScale]:
+    """Return how the speed of a car becomes the number of its throttle, and its steering angle that of the steering."""
+    forwards, angle = WheelScale(1.0, rest=throttle.rest), WheelScale(1.0, rest=throttle.steering_rest)
+    if throttle.unit == "pwm":
+        top_m_s = config.max_wheel_m_s or config.max_linear_m_s or 1.0
+        forwards = _bounded(throttle.full, throttle.rest, top_m_s)
+    if throttle.steering_full is not None:
+        angle = _bounded(throttle.steering_full, throttle.steering_rest, drive.max_steering_rad)
+    return forwards, angle
+
+
+def _bounded(full: float, rest: float, at: float) -> WheelScale:
+    """Return the scale that adds `full` to `rest` at a value of `at`, and more at no other."""
+    return WheelScale(full / at, 1.0, rest, rest - abs(full), rest + abs(full))
 
 
 def feedback_of(topics: RobotTopicNames, sent: Iterable[TopicType], config: RobotConfig) -> Feedback:
@@ -211,6 +243,10 @@ def commands_of(
     if kind is CommandKind.WORDS and config.words is not None:
         words = config.words
         return WordCommand(topics[0], Words(words.forward, words.backward, words.left, words.right, words.stop), full)
+    if kind is CommandKind.THROTTLE and config.throttle is not None and isinstance(drive, AckermannDrive):
+        return ThrottleCommand(topics, drive, *throttle_scales(config.throttle, config, drive))
+    if kind is CommandKind.VECTOR and config.vector is not None:
+        return VectorCommand(topics[0], config.vector.fields)
     if topics[0].type_name in ACKERMANN_TYPES and isinstance(drive, AckermannDrive):
         return AckermannCommand(topics[0], drive, frame_id)
     return TwistCommand(topics[0], frame_id)
@@ -378,7 +414,7 @@ class LocalRobot(Drivable, AnyRobot):
             priority=None if driver is None else driver.priority,
             lock_reason=admission.lock_reason,
             epoch=admission.epoch,
-            unreachable=self.refusals.cause or (admission.missing if connection is not None else None) or None,
+            unreachable=self._unreachable,
             wheel_separation_m=self.config.wheel_separation_m,
             kinematics=admission.kinematics,
             lease_s=admission.lease_s,
@@ -390,6 +426,13 @@ class LocalRobot(Drivable, AnyRobot):
             device_errors=() if connection is None else self._device_errors(connection),
             firmware=None if monitor is None else monitor.firmware,
         )
+
+    @property
+    def _unreachable(self) -> str | None:
+        """Return why it cannot be driven or stopped although its device is connected; None if it can."""
+        if self.connection is None:
+            return self.refusals.cause
+        return self.refusals.cause or self.admission.missing or self.no_stop or None
 
     def _device_errors(self, connection: "Device") -> tuple[str, ...]:
         """Return the codes of the findings of all its devices."""
@@ -639,7 +682,7 @@ class RemoteRobot(AnyRobot):
     _velocities: frozenset[tuple[str, str]] = frozenset()
 
     def __post_init__(self) -> None:
-        self.admission = Admission(self.name, epoch=secrets.randbits(EPOCH_BITS))
+        self.admission = Admission(self.name, epoch=secrets.randbits(EPOCH_BITS), sees_bunches=False)
         self._node = Node(f"{self.name} at {self.host}")
 
     def state(self, now_s: float) -> RobotState:

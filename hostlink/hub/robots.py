@@ -7,7 +7,7 @@ import itertools
 import math
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING
 
 import structlog
@@ -236,49 +236,69 @@ class Robots:
 
     def stop_all_here(self, *, by: str | None = None) -> list[CommandEndpoint]:
         """Stop every robot and every board of this daemon; as `stop_all`."""
-        unguarded = [each for device in self.devices.values() for each in device.stop_unguarded()]
+        for device in self.devices.values():
+            device.stop_unguarded()
         try:
             self._gates.stop(self.drivables(), by=by)
         except HostlinkError:
             of_robots = (each for device in self.devices.values() if device.robot for each in device.drivables)
             if any(each.refusals.cause is not None for each in of_robots):
                 raise  # else it is a board's, which is named below
-        return [*self._of_no_robot(), *unguarded]
+        return self.endpoints()
 
     def lock_all(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
-        """Lock every robot, including those of other daemons, and every board, also boards that connect later.
+        """Lock every robot and every board, including those of other daemons, also boards that connect later.
 
         Return the endpoints here that command a motion and are not a robot's, with what became of each.
 
         Raises:
             HostlinkError: the zero does not fit a robot's device; it is locked nevertheless, and so are all others.
         """
-        now_s, refusal = loop_time_s(), None
-        self.boards.lock(shown_reason(reason), now_s, by=by)
+        if self._gates.hosts is not None:
+            self._gates.hosts.lock(None, shown_reason(reason))
+        self._lock_boards(reason, by=by)
+        return self._lock_each(self.all(), reason, by=by)
+
+    def lock_all_here(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
+        """Lock every robot and every board of this daemon; as `lock_all`."""
+        self._lock_boards(reason, by=by)
+        return self._lock_each(self.here(), reason, by=by, is_here=True)
+
+    def _lock_boards(self, reason: str, *, by: str | None) -> None:
+        self.boards.lock(shown_reason(reason), loop_time_s(), by=by)
         log.warning("robots.all_locked", reason=self.boards.lock_reason)
-        for robot in self.all():
+
+    def _lock_each(
+        self, robots: Sequence[AnyRobot], reason: str, *, by: str | None, is_here: bool = False
+    ) -> list[CommandEndpoint]:
+        """Lock robots and the boards here. `is_here`: robots of the same names at other daemons are not locked."""
+        refusal = None
+        for robot in robots:
             try:
-                robot.lock(reason, by=by)
+                if is_here and isinstance(robot, LocalRobot):
+                    robot.lock_here(reason, by=by)
+                else:
+                    robot.lock(reason, by=by)
             except HostlinkError as error:
                 refusal = error
         with contextlib.suppress(HostlinkError):  # it is named below
             self._gates.lock(self._without_robot(), self.boards.lock_reason or reason, by=by)
-        unguarded = [each for device in self.devices.values() for each in device.stop_unguarded()]
+        for device in self.devices.values():
+            device.stop_unguarded()
         if refusal is not None:
             raise refusal
-        return [*self._of_no_robot(), *unguarded]
+        return self.endpoints()
 
     def unlock_all(self, *, by: str | None = None) -> None:
-        """Admit commands of all robots and boards again. Unlocking moves nothing.
+        """Admit commands of all robots and boards again, including those of other daemons. Unlocking moves nothing.
 
         Raises:
             DeviceGone: several robots of other daemons have one name; all others are unlocked.
         """
+        if self._gates.hosts is not None:
+            self._gates.hosts.unlock_all()
+        self._unlock_boards(by=by)
         refusal = None
-        if self.boards.lock_reason is not None:
-            log.warning("robots.all_unlocked", reason=self.boards.lock_reason)
-        self.boards.unlock(loop_time_s(), by=by)
-        self._gates.unlock(self._without_robot(), by=by)
         for robot in self.all():
             if robot.admission.lock_reason is not None:
                 try:
@@ -287,6 +307,24 @@ class Robots:
                     refusal = error
         if refusal is not None:
             raise refusal
+
+    def unlock_all_here(self, *, by: str | None = None) -> None:
+        """Admit commands of the boards of this daemon again, and of its robots whose name no other daemon has."""
+        self._unlock_boards(by=by)
+        for robot in self.here():
+            if robot.admission.lock_reason is not None and not robot.also_at:
+                robot.unlock(by=by)
+
+    def _unlock_boards(self, *, by: str | None) -> None:
+        if self.boards.lock_reason is not None:
+            log.warning("robots.all_unlocked", reason=self.boards.lock_reason)
+        self.boards.unlock(loop_time_s(), by=by)
+        self._gates.unlock(self._without_robot(), by=by)
+
+    def endpoints(self) -> list[CommandEndpoint]:
+        """Return the endpoints here that command a motion and are not a robot's, after a stop or a lock."""
+        unguarded = [each for device in self.devices.values() for each in device.unguarded_endpoints()]
+        return [*self._of_no_robot(), *unguarded]
 
     def _without_robot(self) -> list[Drivable]:
         """Return the velocity topics that belong to no robot."""

@@ -275,6 +275,16 @@ class Session:
         self._encode(info, payload)
         return info
 
+    def service_endpoint(self, service: str, payload: bytes) -> TopicInfo:
+        """Return the endpoint that takes the requests to a service of the device. It takes one as long as this one.
+
+        Raises:
+            HostlinkError: as from `call`.
+        """
+        info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
+        self._encode(info, payload)
+        return info
+
     def call(self, service: str, payload: bytes) -> None:
         """Queue a request to a service of the device.
 
@@ -284,8 +294,8 @@ class Session:
             FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
             DeviceBusy: too many requests and responses wait.
         """
-        info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
-        self.outbox.put_call(service, self._prompt(info, self._encode(info, payload)))
+        info = self.service_endpoint(service, payload)
+        self.outbox.put_call(service, self._prompt(info, encode(info.topic_id, payload)))
 
     def response_endpoint(self, request: TopicInfo) -> TopicInfo:
         """Return the endpoint at which the device receives the response to a request of this endpoint.

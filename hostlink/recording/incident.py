@@ -87,7 +87,7 @@ class IncidentRules:
             case EventKind.GONE if facts["was_moving"]:
                 return "gone", "its link ended while it was driven"
             case EventKind.DIAGNOSED:
-                return "diagnosed", f"{facts['cause']} {facts['detail']}".strip()
+                return "diagnosed", ": ".join(str(facts[part]) for part in ("cause", "detail") if facts[part])
             case EventKind.LOGGED:
                 return _cause_of_line(str(facts["text"]), facts["level"])
         return None, ""

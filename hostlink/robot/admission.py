@@ -60,6 +60,12 @@ A command without the current epoch is from before a stop if it has waited, here
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
 A pause counts from its beginning.
 
+A lease without a command is one of the source's own making: from the arrival of a command to the earliest time at which
+the next one may have been sent. A network or a daemon that delays commands makes none. Of a command without `sent_s`
+the network's delay is unknown. Where a silence ends that armed a disarmed source, or in which the robot was
+interrupted, two commands for one topic that come within BUNCH_S in the lease after it have waited together for the
+network: the source is disarmed, and what it drives stops.
+
 An interruption increments the epoch. Answers to commands carry the epoch, so that a program can say that it has seen
 the interruption. A reconnection disarms the sources that were driving when the device left, too. A reconnection within
 `resume_after_reconnect_s` is not an interruption.
@@ -98,6 +104,7 @@ class Freshness:
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
+BUNCH_S = 0.01  # no source commands a hundred times a second; commands that waited for the network arrive together
 UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
@@ -146,6 +153,20 @@ class EarlierMotion:
         epoch = EARLIER_EPOCH if received_s < self.until_s else None
         self.until_s = float("-inf")  # the admission knows from now on that the motion is an earlier one
         return epoch
+
+
+class Resumption:
+    """Detector of arrivals that may end a silence that the network made: none of them may be left out."""
+
+    def __init__(self) -> None:
+        self._came_s, self._until_s = math.inf, -math.inf
+
+    def is_recent(self, came_s: float) -> bool:
+        """Note an arrival. Return whether it follows a lease without any, or one that does by less than a lease."""
+        if came_s >= self._came_s + LEASE_S:
+            self._until_s = came_s + LEASE_S
+        self._came_s = came_s
+        return came_s < self._until_s
 
 
 MAX_EARLIER = 1024  # commands to what does not exist, of the last lease
@@ -224,6 +245,18 @@ class _Source:
     held_until_s: float = float("-inf")
     has_lost_device: bool = False  # it was commanding when the device left, and has not let go since
     freshness: Freshness = field(default_factory=Freshness)
+    resumed_s: float = float("-inf")  # end of a silence before or in which the robot was interrupted
+    came_s: dict[Hashable, float] = field(default_factory=dict)  # by topic: arrival of the newest admitted command
+
+    def is_bunched(self, command: Command[Any], now_s: float, topic: Hashable) -> bool:
+        """Whether a command waited with the admitted one before it: then a silence before both was the network's."""
+        tells_more = command.sent_s is not None or command.epoch is not None
+        return not tells_more and now_s < self.came_s.get(topic, float("-inf")) + BUNCH_S
+
+    def note_admitted(self, command: Command[Any], now_s: float, topic: Hashable) -> None:
+        """Note when an admitted command arrived."""
+        is_late = BUNCH_S <= now_s - command.received_s < UNORDERED_S  # then a slightly late loop may read two at once
+        self.came_s[topic] = command.received_s if is_late else now_s
 
     @property
     def commanded_s(self) -> float:
@@ -255,6 +288,7 @@ class Admission:
     resume_after_reconnect_s: float = 0.0
     max_stamp_age_s: float = math.inf  # of senders whose clocks agree with this host's
     drive: Drive | None = PLANAR  # None: a velocity topic that belongs to no robot, which takes all six numbers
+    sees_bunches: bool = True  # False: another daemon, which has the robot, sees them
     epoch: int = 0
     lock_reason: str | None = None
     locked_by: str | None = None
@@ -267,6 +301,7 @@ class Admission:
     _joined: dict[Hashable, EarlierMotion] = field(default_factory=dict)
     _disconnected_s: float = float("-inf")
     _stopped_s: float = float("-inf")
+    _interrupted_s: float = float("-inf")
     _unrecorded_s: float = float("-inf")  # the newest non-zero command of a source without a record
     _unarmed_until_s: float = float("-inf")  # sources without a record are disarmed until then
 
@@ -287,13 +322,18 @@ class Admission:
             self._note_unrecorded(now_s, now_s)
             reason = f"more than {MAX_SOURCES} sources command this robot at once; stop some of them"
             return self._refuse(RefusalKind.CROWDED, reason)
-        if now_s >= source.commanded_s + self.lease_s:
-            source.arm()
+        waited_s = source.waited_s(command, now_s)
+        if now_s - max(waited_s, 0.0) >= source.commanded_s + self.lease_s:
+            if not source.is_armed or self._interrupted_s >= source.commanded_s > -math.inf:
+                source.resumed_s = now_s
+            source.arm()  # it let go
+        if self.sees_bunches and now_s < source.resumed_s + self.lease_s and source.is_bunched(command, now_s, topic):
+            source.is_armed = False
+            self.end_drives(owner)
         source.commanded[topic] = now_s
         joined = self._joined.pop(owner, None)
         if joined is not None and command.epoch is None:
             command = command._replace(epoch=joined.pop_epoch(command.received_s))
-        waited_s = source.waited_s(command, now_s)
         if command.epoch is None:
             is_earlier = now_s - waited_s < self._stopped_s - UNORDERED_S
         else:
@@ -330,6 +370,7 @@ class Admission:
         if len(self._sources) > 1:
             self._overrule(owner, command.priority, topic, now_s)
         self._drivers[topic] = Lease(owner, command.priority, source.held_until_s)
+        source.note_admitted(command, now_s, topic)
         return ADMITTED
 
     def _decide_zero(self, command: Command[Any], now_s: float, topic: Hashable) -> Decision:
@@ -348,7 +389,7 @@ class Admission:
                 source.commanded.pop(topic, None)
                 if now_s >= source.commanded_s + self.lease_s:  # else it commands another topic of the robot
                     source.arm()
-                    source.has_lost_device = False
+                    source.has_lost_device, source.resumed_s = False, float("-inf")
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, self.missing or "its device is not connected")
         driver = self.driver(topic, now_s)
@@ -524,15 +565,16 @@ class Admission:
     def interrupt(
         self, now_s: float, *, since_s: float | None = None, came_s: float | None = None, by: str | None = None
     ) -> None:
-        """Stop the robot: disarm every source that was commanding within a lease before `since_s`, or now.
+        """Stop the robot: disarm every source that was commanding within a lease before `since_s`, `came_s`, or now.
 
         `came_s` is the earliest time at which a stop arrived, by the clock of commands: what came before it is from
         before the stop. A lock, an unlock and a connection have none: commands are refused until then anyway.
         `by` names the interruption for refusals; None: it is unknown.
         """
-        since_s = now_s if since_s is None else since_s
+        if since_s is None:
+            since_s = now_s if came_s is None else min(came_s, now_s)
         self.epoch += 1
-        self.interrupted_by = by
+        self.interrupted_by, self._interrupted_s = by, now_s
         if came_s is not None:
             self._stopped_s = max(self._stopped_s, came_s)
         self._drivers.clear()
@@ -589,12 +631,13 @@ class Admission:
 
     def note_missing(self, missing: str, now_s: float) -> None:
         """Note why a robot of several devices cannot be driven; empty: all are connected, which is an interruption."""
-        was_missing, self.missing = self.missing, missing
+        if missing == self.missing:
+            return
+        self.missing = missing
         if missing:
             self._end_all_drives(now_s)
-        elif was_missing:
+        else:
             self.interrupt(now_s, by="a reconnection of one of its devices")
-            self._drop_holds()
             for source in self._sources.values():
                 source.has_lost_device = False
 

@@ -23,6 +23,7 @@ from hostlink.robot.velocity import (
 ACKERMANN_TYPE: Final = "ackermann_msgs/AckermannDrive"
 ACKERMANN_STAMPED_TYPE: Final = "ackermann_msgs/AckermannDriveStamped"
 JOY_TYPE, JOINT_STATE_TYPE, STRING_TYPE = "sensor_msgs/Joy", "sensor_msgs/JointState", "std_msgs/String"
+VECTOR_TYPE: Final = "geometry_msgs/Vector3"
 CHAR_TYPE: Final = "std_msgs/Char"
 TEXT_TYPES: Final = (STRING_TYPE, CHAR_TYPE)
 ACKERMANN_TYPES: Final = (ACKERMANN_TYPE, ACKERMANN_STAMPED_TYPE)
@@ -31,6 +32,7 @@ _NS_PER_S = 1_000_000_000
 _MAX_SECS = 0xFFFFFFFF
 _HEADER: Final = struct.Struct("<IIII")  # seq, secs, nsecs, length of frame_id
 _LENGTH: Final = struct.Struct("<I")
+_VECTOR: Final = struct.Struct("<3d")
 _ACKERMANN: Final = struct.Struct("<5f")  # steering_angle, its velocity, speed, acceleration, jerk
 NUMBERS: Final = {
     "Float32": "f", "Float64": "d", "Int8": "b", "Int16": "h", "Int32": "i", "Int64": "q",
@@ -207,6 +209,61 @@ class WheelCommand(CommandType):
         return tuple(_number(NUMBER_TYPES[topic.type_name], value) for topic, value in pairs)
 
 
+class ThrottleCommand(CommandType):
+    """Two numbers for a car: one for its throttle, one for its steering."""
+
+    def __init__(
+        self, topics: Sequence[TopicType], drive: AckermannDrive, throttle: WheelScale, steering: WheelScale
+    ) -> None:
+        """`throttle` scales m/s, `steering` scales the angle of the front wheels in rad.
+
+        Raises:
+            ConfigError: a topic is not a number.
+        """
+        super().__init__(topics)
+        self._drive, self._throttle, self._steering = drive, throttle, steering
+        unknown = sorted({topic.type_name for topic in topics} - NUMBER_TYPES.keys())
+        if unknown:
+            raise ConfigError("throttle", f"{unknown[0]} is not a number")
+
+    def encode(self, velocity: AnyVelocity, stamp_ns: int = 0) -> tuple[bytes, ...]:  # noqa: ARG002 - no stamp
+        """Encode both numbers. Zero is the throttle at rest, straight ahead."""
+        steering = self._drive.steering(_planar(velocity))
+        values = self._throttle.value(steering.speed_m_s), self._steering.value(steering.angle_rad)
+        pairs = zip(self.topics, values, strict=True)
+        return tuple(_number(NUMBER_TYPES[topic.type_name], value) for topic, value in pairs)
+
+
+class VectorCommand(CommandType):
+    """A geometry_msgs/Vector3 whose numbers are components of the velocity."""
+
+    def __init__(self, topic: TopicType, fields: Sequence[str]) -> None:
+        """`fields`: what x, y and z of the message are: "x", "y", "yaw", or "" for nothing.
+
+        Raises:
+            ConfigError: the topic has another type.
+        """
+        super().__init__((topic,))
+        self._fields = (*fields, "", "", "")[:3]
+        if topic.type_name != VECTOR_TYPE:
+            raise ConfigError("vector", f"{topic.type_name} is not a {VECTOR_TYPE}")
+
+    def encode(self, velocity: AnyVelocity, stamp_ns: int = 0) -> tuple[bytes, ...]:  # noqa: ARG002 - no stamp
+        """Encode the components. Zero is three zeros."""
+        x_m_s, y_m_s, yaw_rad_s = _planar(velocity)
+        values = {"x": x_m_s, "y": y_m_s, "yaw": yaw_rad_s, "": 0.0}
+        return (_VECTOR.pack(*(values[each] for each in self._fields)),)
+
+    def decode(self, topic: str, type_name: str, payload: bytes) -> Published:
+        """Decode a Vector3, Twist or TwistStamped."""
+        if type_name != VECTOR_TYPE:
+            return super().decode(topic, type_name, payload)
+        if len(payload) != _VECTOR.size:
+            raise BadPayload(type_name, f"{len(payload)} bytes instead of {_VECTOR.size}")
+        values = dict(zip(self._fields, _VECTOR.unpack(payload), strict=True))
+        return Published(PlanarVelocity(values.get("x", 0.0), values.get("y", 0.0), values.get("yaw", 0.0)).twist)
+
+
 class JoyCommand(CommandType):
     """A sensor_msgs/Joy: a velocity as the position of axes."""
 
@@ -345,6 +402,7 @@ def zero_of(type_name: str) -> bytes | None:
         return bytes(struct.calcsize(NUMBER_TYPES[type_name]))
     return {
         TWIST_TYPE: Twist().encode(),
+        VECTOR_TYPE: bytes(_VECTOR.size),
         TWIST_STAMPED_TYPE: _header(b"", 0) + Twist().encode(),
         ACKERMANN_TYPE: bytes(_ACKERMANN.size),
         ACKERMANN_STAMPED_TYPE: bytes(_HEADER.size + _ACKERMANN.size),

@@ -7,17 +7,20 @@
 | counts of encoders, speeds of wheels, JointState                  | `[robots.X.encoders]` only      | pose     |
 | the same, while a dimension of wheel or drive is unknown          |                                 | motion   |
 
+A pose that the device was given and sends back says nothing of its motion: it is left out, and its flaw is named.
+
 A count that is recognised by its name alone could be anything that never changes, and would say that a robot that
 drives is stopped.
 """
 
 import math
 import re
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from hostlink.robot.kinematics import Drive
+from hostlink.robot.kinematics import Drive, Pose, wrap_angle
 from hostlink.robot.readings import POSE_TYPES, READERS, VELOCITY_TYPES, Flaw, OdometryReading
 from hostlink.robot.wheel_feedback import WheelFeedback, WheelSettings
 
@@ -40,6 +43,9 @@ class FeedbackSettings:
 
 
 RECOGNISED = FeedbackSettings()
+GIVEN = 16  # poses that are kept: the board may send them back later
+SENT_BACK = 4  # different ones in a row: fewer may be a coincidence
+ROUNDING = 1e-4  # m and rad: float32 rounds to 1e-5 within 100 m
 _MEASURED = re.compile(r"odom|vel|speed|twist|motion", re.IGNORECASE)
 _COMMANDED = re.compile(r"cmd|command|target|goal|set|ref|desired|wanted|joy|rc\d|teleop", re.IGNORECASE)
 
@@ -56,6 +62,8 @@ class Feedback:
         offered = [(name, type_name) for name, type_name in endpoints]
         self._wheels: WheelFeedback | None = None
         self._doubts_orientation = False
+        self._given: deque[Pose] = deque(maxlen=GIVEN)  # newest poses that the device was sent
+        self._sent_back = deque[Pose](maxlen=SENT_BACK)  # different ones of them that it sent in a row
         self.topics: tuple[tuple[str, str], ...] = ()
         self.kind, self.lacks = FeedbackKind.NONE, ""
         if settings.encoders is not None:
@@ -103,6 +111,21 @@ class Feedback:
         if self._wheels is not None:
             self._wheels.restart()
 
+    def note_given(self, pose: Pose) -> None:
+        """Note a pose that the device is sent, for example by an external localisation."""
+        self._given.append(pose)
+
+    def _is_sent_back(self, pose: Pose) -> bool:
+        """Whether this pose is one that the device was given, after others that were, too.
+
+        A device that is given its place once begins there, and then counts on by itself.
+        """
+        if not any(_is_same(pose, given) for given in self._given):
+            self._sent_back.clear()
+        elif not any(_is_same(pose, before) for before in self._sent_back):
+            self._sent_back.append(pose)
+        return len(self._sent_back) == SENT_BACK
+
     def reset_pose(self) -> None:
         """Make the robot's place the origin, if the host integrates its pose."""
         if self._wheels is not None:
@@ -119,6 +142,8 @@ class Feedback:
         if self._wheels is not None:
             return self._wheels.read(topic, payload, now_s=now_s)
         reading = self._read(payload)
+        if self._given and reading.pose is not None and self._is_sent_back(reading.pose):
+            return reading._replace(pose=None, twist=None, flaws=(Flaw.SENT_BACK, *reading.flaws))
         if Flaw.HEADING_IN_Z in reading.flaws:
             self._doubts_orientation = True  # half a turn is then not told from 1 rad
         elif self._doubts_orientation and reading.pose is not None:
@@ -142,6 +167,13 @@ def recognised(offered: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
         if best is None or key < best[0]:
             best = key, (name, type_name)
     return None if best is None else best[1]
+
+
+def _is_same(one: Pose, other: Pose) -> bool:
+    """Whether two poses are equal but for the rounding of a board."""
+    return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m) < ROUNDING and (
+        abs(wrap_angle(one.theta_rad - other.theta_rad)) < ROUNDING
+    )
 
 
 def _named(offered: list[tuple[str, str]], name: str) -> tuple[str, str] | None:

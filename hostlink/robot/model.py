@@ -28,6 +28,7 @@ from hostlink.robot.command_types import (
     JOY_TYPE,
     NUMBER_TYPES,
     TEXT_TYPES,
+    VECTOR_TYPE,
     TopicType,
 )
 from hostlink.robot.feedback import recognised
@@ -36,6 +37,7 @@ from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 LONGEST_NAME: Final = 64  # characters of a robot's name; names are used in logs, paths and labels
 RESET_TYPE: Final = "std_msgs/Empty"
+STOP_SERVICE_TYPES: Final = ("std_srvs/Empty", "std_srvs/Trigger")  # without a field in the request
 _USUAL_NAMES: Final = ("velocity_commands", "cmd_vel")  # the likelier first
 _USUAL_POSES: Final = ("nav_msgs/Odometry", "geometry_msgs/Pose2D")
 _TWISTS: Final = (TWIST_TYPE, TWIST_STAMPED_TYPE)
@@ -45,15 +47,21 @@ _MOTION: Final = re.compile(
 )
 _SUSPECT: Final = re.compile(
     r"vel(ocity|ocities)?$|^vel|^cmd|cmds?$|command|control|(?<!e)mot(ion|or)|mtr|wheel|speed|spd|pwm|dut(y|ies)|steer|throttle"
-    r"|thrust|traction|move|mov$|drive|rotat|joy",
+    r"|thrust|traction|move|mov$|drive|rotat|joy|rpm|(?<![a-z])esc(?![a-z])|^dir$"
+    r"|^(front|rear|back)?_?(left|right|[lr])$|^[fbr][lr]$|^m\d$",  # whole names of motors
     re.IGNORECASE,
 )
-_SPOKEN: Final = re.compile(r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE)  # texts
+_SPOKEN: Final = re.compile(
+    r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE
+)  # texts, characters
 _SERVO: Final = re.compile(
     r"servo|(?:^|[/_])arm(?![a-z])|joint|gripper|angle|position|actuat|stepper|lift|wing", re.IGNORECASE
 )
-_WHEEL: Final = re.compile(r"vel(ocity)?$|motor|wheel|speed|pwm|throttle", re.IGNORECASE)
-_TRIGGER: Final = re.compile(r"open|close|launch|fire|shoot|release|drop|grip|kick|throw|pick", re.IGNORECASE)
+_WHEEL: Final = re.compile(r"vel(ocity)?$|motor|wheel|speed|pwm|throttle|rpm", re.IGNORECASE)
+_TRIGGER: Final = re.compile(
+    r"open|close|launch|fire|shoot|release|drop|grip|kick|throw|pick|forward|backward|^(back|left|right|go|turn)",
+    re.IGNORECASE,
+)
 # Words of a topic's name that tell what it is, but not whose.
 _COMMON: Final = frozenset({
     "ackermann", "base", "cb", "cmd", "cmdvel", "command", "commands", "control", "controller", "ctrl", "drive", "from",
@@ -65,6 +73,8 @@ _SHORTEST_WORD: Final = 3
 _TRIGGERS: Final = ("std_msgs/Empty", "std_msgs/Bool")
 _SIDES: Final = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
 _NO_WHEEL: Final = re.compile(r"mode|steer|rotat|turn|limit|enable", re.IGNORECASE)
+_STEERING: Final = re.compile(r"steer", re.IGNORECASE)
+_THROTTLE: Final = re.compile(r"throttle|speed|motor|pwm|drive|vel", re.IGNORECASE)
 # What a number of wheels needs besides its topics, in a suggestion.
 _WHEELS_NEED: Final = {
     1: "",
@@ -90,6 +100,8 @@ class CommandKind(StrEnum):
     WHEELS = "wheels"
     JOY = "joy"
     WORDS = "words"
+    THROTTLE = "throttle"
+    VECTOR = "vector"
 
 
 class Role(StrEnum):
@@ -116,6 +128,7 @@ class CommandSettings(NamedTuple):
     is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
     devices: tuple[str, ...] = ()  # addresses, ports and names of its devices, if it consists of several
     command_device: str | None = None  # the one that is commanded; None: the only one that takes a velocity
+    stop_service: str | None = None  # service of the device that is called with each zero, because a zero is not obeyed
 
 
 NO_SETTINGS: Final = CommandSettings()
@@ -210,16 +223,13 @@ def is_velocity(endpoint: Endpoint, ignored: frozenset[str] = frozenset()) -> bo
 def unguarded(
     endpoints: Sequence[Endpoint],
     settings: CommandSettings = NO_SETTINGS,
-    guarded: Collection[str] | None = None,
+    guarded: Collection[str] = (),
 ) -> list[Endpoint]:
     """Return the endpoints that look like commands of a motion, and that nothing guards.
 
-    `guarded`: names of the topics that have a gate; None: those that the model gives one. The namespace of such a topic
-    is the robot's name: that a robot is named `big_wheel` does not tell what its topics are for.
+    `guarded`: names of the topics that have a gate. The namespace of such a topic is the robot's name: that a robot is
+    named `big_wheel` does not tell what its topics are for.
     """
-    if guarded is None:
-        guarded = {topic.name for topic in _commands(endpoints, settings)[0]}
-        guarded |= {each.name for each in endpoints if is_velocity(each, settings.ignored)}
     passed = {*guarded, *settings.ignored, *settings.locked}
     robots = {space for space in map(namespace_of, guarded) if not _COMMON.issuperset(map(str.lower, space))}
     return [
@@ -293,6 +303,12 @@ def suggestion(suspects: Sequence[Endpoint], name: str, address: str, *, is_robo
         first = names[0]
         if type_name in _TWISTS:
             return f"{address_line}command_topic = {_quoted(first)}"
+        if type_name == VECTOR_TYPE:
+            return f'{address_line}[robots.{name}.vector]\ntopic = {_quoted(first)}\nfields = ["x", "y", "yaw"]'
+        throttle = _throttle_topics(suspects) if type_name in NUMBER_TYPES else []
+        if throttle:
+            listed = ", ".join(map(_quoted, throttle))
+            return f'{address_line}[robots.{name}.throttle]\ntopics = [{listed}]\nunit = "pwm"'
         wheels = [first] if type_name in ARRAY_TYPES else _wheel_topics(suspects) if type_name in NUMBER_TYPES else []
         if len(wheels) in _WHEELS_NEED:
             listed = ", ".join(map(_quoted, wheels))
@@ -427,6 +443,14 @@ def _wheel_topics(suspects: Sequence[Endpoint]) -> list[str]:
     if pairs:
         return [topic for pair in pairs.items() for topic in pair]
     return [name for name in names if _NO_WHEEL.search(leaf_of(name)) is None] or names[:1]
+
+
+def _throttle_topics(suspects: Sequence[Endpoint]) -> list[str]:
+    """Return the topics of throttle and steering of a car; empty if there is not one of each."""
+    names = [each.name for each in suspects if each.type_name in NUMBER_TYPES]
+    steering = [name for name in names if _STEERING.search(leaf_of(name))]
+    throttle = [name for name in names if name not in steering and _THROTTLE.search(leaf_of(name))]
+    return [throttle[0], steering[0]] if len(throttle) == len(steering) == 1 else []
 
 
 def select(settings: Mapping[str, CommandSettings], endpoints: Sequence[Endpoint]) -> str | None:

@@ -162,16 +162,14 @@ class RobotNames:
     def __init__(
         self,
         addresses: Mapping[str, str | None],
-        remembered: Mapping[str, Remembered] | None = None,
         several: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port.
 
-        `remembered`: name -> its owner before the restart. `several`: robots of several devices.
+        `several`: robots of several devices.
         """
         self.places = Places(addresses, several)
-        self.remembered: dict[str, Remembered] = {}  # the one that was used last is the last one
-        self.remember(remembered or {})
+        self.remembered: dict[str, Remembered] = {}  # name -> its owner; the one that was used last is the last one
         self.links: dict[str, int] = {}  # of the names that a device has now
         self._owners: dict[str, Origin] = {}
         self._of_origin: defaultdict[tuple[str, str, bool], dict[str, None]] = defaultdict(dict)  # in order of coming
@@ -393,14 +391,13 @@ class Directory:
         self,
         addresses: Mapping[str, str | None],
         settings: Mapping[str, CommandSettings] | None = None,
-        remembered: Mapping[str, Remembered] | None = None,
     ) -> None:
         """`addresses`: robot name -> the peer address or serial port that the configuration gives it.
 
-        `settings`: what commands each robot. `remembered`: name -> its owner before the restart.
+        `settings`: what commands each robot.
         """
         several = {name: each.devices for name, each in (settings or {}).items() if each.devices}
-        self._names = RobotNames(addresses, remembered, several)
+        self._names = RobotNames(addresses, several)
         self._set_commands(settings or {})
         self._entries: dict[int, _Entry] = {}
         self._presences: dict[int, Presence] = {}
@@ -482,10 +479,9 @@ class Directory:
         return None
 
     def _is_other_commanded(self, link: int, member: Membership) -> bool:
-        """Whether another device of the robot has its name: two that take a velocity are not one robot."""
+        """Whether another device has the robot's name: two that take a velocity are not one robot."""
         other = self._names.links.get(member.robot)
-        entry = None if other is None or other == link else self._entries[other]
-        return entry is not None and entry.member is not None and entry.member != member
+        return other is not None and other != link and self._entries[other].member != member
 
     def _described(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[str | None, CommandSettings]:
         """Return the robot whose settings describe a device, and these settings.
@@ -518,38 +514,27 @@ class Directory:
     def explain(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[RobotTopicNames | None, str | None]:
         """Return the robot that a device is by its own topics and settings, and the name that the settings give it."""
         member = self.member(topics, origin)
-        if member is not None:
-            return self.find(topics, origin)[0], member.robot
-        chosen, _ = self._described(topics, origin)
+        chosen = self._described(topics, origin)[0] if member is None else member.robot
         given = next(iter(self._names.places.at(origin)), None)
         return self.find(topics, origin)[0], chosen if chosen is not None else given
-
-    def settings_for(self, topics: Sequence[Endpoint], *, address: str, peer: str) -> CommandSettings:
-        """Return the settings of the command of a device."""
-        return self.find(topics, Origin("", address, peer))[1]
 
     def misplaced(self, places: Places) -> dict[str, int | None]:
         """The names that these places would change, and the link of each; None: its device is away."""
         return {name: self._names.links.get(name) for name in self._names.misplaced(places)}
 
-    def reconfigure(
-        self, places: Places, settings: Mapping[str, CommandSettings] | None = None
-    ) -> dict[str, int | None]:
-        """Names by these places from now on; each device whose name they change must claim again.
+    def reconfigure(self, places: Places, settings: Mapping[str, CommandSettings]) -> dict[str, int | None]:
+        """Name by these places and settings from now on; each device whose name they change must claim again.
 
         Returns what was `misplaced`.
         """
         misplaced = self.misplaced(places)
         self._names.places = places
-        if settings is not None:
-            before = self._settings
-            self._set_commands(settings)
-            members = {
-                number: entry.member.robot for number, entry in self._entries.items() if entry.member is not None
-            }
-            for number, robot in members.items():
-                if before.get(robot) != settings.get(robot):
-                    self._release(number)
+        before = self._settings
+        self._set_commands(settings)
+        members = {number: each.member.robot for number, each in self._entries.items() if each.member is not None}
+        for number, robot in members.items():
+            if before.get(robot) != settings.get(robot):
+                self._release(number)
         for name, link in misplaced.items():
             if link is not None:
                 self._release(link)

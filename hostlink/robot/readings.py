@@ -18,12 +18,13 @@ POSE_TYPE, ODOMETRY_TYPE = "geometry_msgs/Pose2D", "nav_msgs/Odometry"
 
 
 class Flaw(StrEnum):
-    """Flaw of one message. The first four leave no pose."""
+    """Flaw of one message. The first five leave no pose."""
 
     NOT_FINITE = "not_finite"  # NaN or infinity in the pose, or in the velocity of a message without a pose
     ZERO_QUATERNION = "zero_quaternion"  # all four numbers of the orientation are 0
     HEADING_IN_Z = "heading_in_z"  # only orientation.z is set, to something that is not the length of a quaternion
     BAD_QUATERNION = "bad_quaternion"  # the length is far from 1
+    SENT_BACK = "sent_back"  # the pose is one that the device was given, and so were those before
     ZERO_STAMP = "zero_stamp"
     SLASH_FRAME = "slash_frame"  # a frame begins with a slash, which tf2 refuses
     ZERO_COVARIANCE = "zero_covariance"  # of the pose; a filter divides by it

@@ -70,7 +70,7 @@ def sentence(robot: str, measured: Standstill) -> str:
         return f"{robot}: it is not known whether it is stopped: {measured.reason}"
     if measured.speed_m_s is None:
         return f"{robot} still moves: {measured.reason}"
-    speed_m_s, turn_rad_s = abs(measured.speed_m_s or 0.0), abs(measured.turn_rad_s or 0.0)
+    speed_m_s, turn_rad_s = abs(measured.speed_m_s), abs(measured.turn_rad_s or 0.0)
     motion = f"moves at {speed_m_s:.2f} m/s" if speed_m_s > STILL_M_S else f"turns at {turn_rad_s:.2f} rad/s"
     return f"{robot} still {motion}: {measured.reason}"
 

@@ -87,7 +87,8 @@ class CommandEndpointView(TypedDict):
     """A topic that commands a motion and is not a robot's, after a stop or a lock of all.
 
     robot: of its board; null: the board is not a robot. is_guarded: it has a gate; otherwise hostlink only sends zeros
-    and refuses messages under a lock. reason: why it was not sent a zero; empty if it was.
+    and refuses messages under a lock. reason: why it was not sent a zero; empty if it was. host: the daemon of the
+    fleet that has the board; null: this one.
     """
 
     link: int
@@ -99,6 +100,7 @@ class CommandEndpointView(TypedDict):
     is_locked: bool
     is_zero_sent: bool
     reason: str
+    host: str | None
 
 
 class TopicView(TypedDict):

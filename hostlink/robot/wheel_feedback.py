@@ -231,13 +231,13 @@ class WheelFeedback:
         """
         reader = self._readers[topic]
         values, stamp_ns = reader.read(payload)
-        if not all(map(math.isfinite, values)):
-            raise BadPayload(reader.type_name, "a value that is not finite")
         if self._is_whole:
             self._channels = self._channels or len(values)
             if len(values) < self._channels:
                 raise BadPayload(reader.type_name, f"{len(values)} values for {self._channels} wheels")
             values = values[: self._channels]
+        if not all(map(math.isfinite, values)):
+            raise BadPayload(reader.type_name, "a value that is not finite")
         if not self._is_absolute and not self._is_speed:
             summed = self._summed.setdefault(topic, [0.0] * len(values))
             self._summed[topic] = [before + value for before, value in zip(summed, values, strict=True)]

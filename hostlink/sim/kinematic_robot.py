@@ -47,7 +47,10 @@ ODOMETRY_MD5 = "cd5e73d190d741a2f92e81eda573aca7"
 _STAMP = Struct("<III")  # sequence number, seconds, nanoseconds
 _TIME = Struct("<II")
 _POSE = Struct("<7d")
-_COVARIANCE = bytes(36 * 8)
+_VARIANCES = (1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-2)  # x, y and yaw; the others are not measured
+_COVARIANCE = Struct("<36d").pack(
+    *(each if row == at else 0.0 for row, each in enumerate(_VARIANCES) for at in range(6))
+)
 _NS = 1_000_000_000
 
 

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from hostlink.config import ApiConfig, Config
 from hostlink.errors import DeviceGone
+from hostlink.hub.device import CommandEndpoint
 from hostlink.hub.gates import RemoteHosts
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
@@ -70,7 +71,7 @@ class Silent(RemoteHosts):
     def stop(self, name: str | None) -> None:
         """Accept the stop."""
 
-    async def settled(self) -> None:
+    async def settled(self) -> list[CommandEndpoint]:
         raise DeviceGone("lab-2", "it has not answered")
 
 

@@ -170,6 +170,21 @@ def test_stop_and_lock_cover_the_command_of_the_feedback_board() -> None:
     in_hub(test, CHOSEN)
 
 
+def test_reload_that_makes_one_robot_of_two_leaves_neither_a_robot_by_itself() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect(OTHER_COMMAND, address=WHEELS)  # before the one that has the robot's name
+        await made.connect([topic(Id.SUBSCRIBER, 100, "r/cmd_vel", "geometry_msgs/Twist")], address=MOTORS)
+        await asyncio.sleep(1.0)
+        assert {each.name for each in made.hub.robots.here()} == {"r", "other"}
+        made.hub.reconfigure(CONFIG, places_of(CONFIG))
+        await asyncio.sleep(1.0)
+        assert [each.name for each in made.hub.robots.here() if each.connection is not None] == ["r"]
+        with pytest.raises(CommandRefused, match="take a velocity: choose one"):
+            drive(made)
+
+    in_hub(test)
+
+
 def test_reload_that_takes_a_board_away_leaves_the_other_a_robot_by_itself() -> None:
     async def test(made: MemoryHub) -> None:
         motors, _ = await connected(made)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from hostlink.errors import RefusalKind
-from hostlink.robot.admission import LEASE_S, UNORDERED_S, Admission, Command
+from hostlink.robot.admission import BUNCH_S, LEASE_S, UNORDERED_S, Admission, Command
 from hostlink.robot.kinematics import PLANAR, AckermannDrive, DifferentialDrive, MecanumDrive
 from hostlink.robot.kinematics import Drive as RobotDrive
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
@@ -35,10 +35,23 @@ class Heard:
     held_until_s: float = float("-inf")
     priority: int = 0
     has_lost_device: bool = False  # it was commanding when the device left
+    resumed_s: float = float("-inf")  # end of a silence before or in which it was interrupted
+    admitted_s: dict[str, float] = field(default_factory=dict)  # by topic
 
     @property
     def last_s(self) -> float:
         return max(self.commanded_s.values(), default=float("-inf"))
+
+    def resume(self, sent_s: float, now_s: float, interrupted_s: float) -> None:
+        """Note a non-zero command if a silence ends with it. `interrupted_s`: the robot's last interruption."""
+        was_interrupted = self.was_interrupted or self.has_missed or interrupted_s >= self.last_s
+        if self.commanded_s and self.has_let_go(sent_s) and was_interrupted:
+            self.resumed_s = now_s
+
+    def is_bunched(self, topic: str, now_s: float) -> bool:
+        """Whether a command follows an admitted one so closely, after a silence, that both waited for the network."""
+        is_close = now_s < self.admitted_s.get(topic, float("-inf")) + BUNCH_S
+        return is_close and now_s < self.resumed_s + LEASE_S
 
     def has_let_go(self, now_s: float) -> bool:
         return now_s >= self.last_s + LEASE_S
@@ -72,9 +85,10 @@ class History(RuleBasedStateMachine):
         self.sources: dict[str, Heard] = {}
         self.drives: dict[str, Drive] = {}  # by topic
         self.is_locked, self.is_connected = False, is_connected
-        self.away_s = self.stopped_s = float("-inf")
+        self.away_s = self.stopped_s = self.interrupted_s = float("-inf")
         if is_connected:
             self.admission.connect(self.now_s)
+            self.interrupted_s = self.now_s
 
     @rule(ticks=st.integers(0, 6))
     def time_passes(self, ticks: int) -> None:
@@ -116,9 +130,13 @@ class History(RuleBasedStateMachine):
         drive = self.drives.get(topic)
         if drive is not None and (drive.source == owner or self.now_s >= drive.at_s + LEASE_S):
             drive = None
-        if heard.has_let_go(self.now_s):
+        heard.resume(self.now_s - waited_s, self.now_s, self.interrupted_s)
+        if heard.has_let_go(self.now_s - waited_s):
             heard.was_interrupted = heard.has_missed = heard.was_taken_over = False
             heard.commanded_s = {}
+        if seen is None and heard.is_bunched(topic, self.now_s):
+            heard.has_missed, heard.held_until_s = True, float("-inf")
+            self.drives = {by: each for by, each in self.drives.items() if each.source != owner}
         if seen == 0 or (seen is None and self.now_s - waited_s < self.stopped_s - UNORDERED_S):
             heard.has_missed = True
         expected = None
@@ -153,6 +171,7 @@ class History(RuleBasedStateMachine):
                 self.sources[drive.source].was_taken_over = True
                 self.drives = {by: each for by, each in self.drives.items() if each.source != drive.source}
             heard.held_until_s, heard.priority = self.now_s - waited_s + LEASE_S, priority
+            heard.admitted_s[topic] = self.now_s
             self.drives[topic] = Drive(owner, self.now_s - waited_s, priority)
             self.drives = {
                 by: drive for by, drive in self.drives.items() if drive.source == owner or drive.priority >= priority
@@ -206,6 +225,7 @@ class History(RuleBasedStateMachine):
 
     def interruption(self, since_s: float) -> None:
         self.drives.clear()
+        self.interrupted_s = self.now_s
         for heard in self.sources.values():
             commanding = [
                 topic for topic, at_s in heard.commanded_s.items() if heard.has_lost_device or since_s < at_s + LEASE_S
@@ -220,7 +240,9 @@ class History(RuleBasedStateMachine):
             case "stop":
                 came_s = self.now_s - ticks % 8 * TICK_S  # the loop may be late
                 self.admission.interrupt(self.now_s, came_s=came_s)
-                self.stopped_s, is_one = max(self.stopped_s, came_s), True
+                self.stopped_s, is_one = max(self.stopped_s, came_s), False
+                self.interruption(came_s)
+                epoch += 1
             case "pause":
                 began_s = self.now_s
                 self.now_s += ticks * TICK_S

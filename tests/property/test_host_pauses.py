@@ -90,7 +90,7 @@ class Device:
             else:
                 self._next_pose_s += POSE_S
                 self._poses += 1
-                wire = bytearray(pose(self._poses))
+                wire = bytearray(pose(self._poses / 50))  # at 0.1 m/s
                 if self.damages_every and self._poses % self.damages_every == 0:
                     wire[20] ^= 0x10
                 data += wire

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 
-from hostlink.config import JoyConfig, RobotConfig, WheelsConfig, WordsConfig
+from hostlink.config import JoyConfig, RobotConfig, ThrottleConfig, VectorConfig, WheelsConfig, WordsConfig
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from tests.support.fake_device import message_type, topic
 from tests.support.participants import ROBOT
 
 ADDRESS = "10.0.0.1"
+THROTTLE = ThrottleConfig(topics=("/throttle", "/steering"))
 WHEELS = WheelsConfig(topics=("/left", "/right"), unit="m_s")
 
 
@@ -19,6 +20,12 @@ class Board:
     types: tuple[str, ...]
     names: tuple[str, ...] = (f"/{ROBOT}/cmd",)
     config: RobotConfig | None = None
+    steering: int | None = None  # number of the topic that commands no motion
+
+    @property
+    def motors(self) -> list[int]:
+        """Numbers of the topics that command a motion."""
+        return [number for number in range(len(self.types)) if number != self.steering]
 
     @property
     def infos(self) -> list[TopicInfo]:
@@ -77,5 +84,9 @@ BOARDS = {
     "wheels by an array": Board(("std_msgs/Float32MultiArray",), config=_wheels(topics=(CMD,))),
     "wheels by a JointState": Board(("sensor_msgs/JointState",), config=_wheels(topics=(CMD,), joints=("l", "r"))),
     "Joy": Board(("sensor_msgs/Joy",), config=RobotConfig(address=ADDRESS, joy=JoyConfig(topic=CMD))),
+    "throttle and steering": Board(
+        ("std_msgs/Float32",) * 2, THROTTLE.topics, RobotConfig(address=ADDRESS, throttle=THROTTLE), steering=1
+    ),
+    "Vector3": Board(("geometry_msgs/Vector3",), config=RobotConfig(address=ADDRESS, vector=VectorConfig(topic=CMD))),
     "words": Board(("std_msgs/String",), config=RobotConfig(address=ADDRESS, words=_words(CMD))),
 }

@@ -86,7 +86,7 @@
   }
   const mayCover = (one, other) => {
     if (one.element.contains(other.element) || other.element.contains(one.element)) return true;
-    const over = [".over", ".group", ".cover"]; // what lies over a picture or the stick on purpose
+    const over = [".over", ".group", ".cover", "#strafe", "#take-over"]; // what lies over a picture or the stick on purpose
     const isOver = ({ element }) => over.some((each) => element.closest(each));
     const isGround = ({ element }) => element.matches("canvas, #joystick") || element.closest("#joystick, #plots");
     return (isOver(one) && isGround(other)) || (isOver(other) && isGround(one));

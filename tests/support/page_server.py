@@ -45,6 +45,7 @@ class State:
     drive_answer: dict[str, Any] = field(default_factory=dict)  # what else the answer to a command has
     drive_refusal: dict[str, Any] = field(default_factory=dict)  # of every command: kind, reason
     answering: asyncio.Event | None = None  # commands are read and answered once it is set
+    is_mute: bool = False  # commands are read, and answered once it is no longer so
     refusal_status: HTTPStatus = HTTPStatus.FORBIDDEN
     is_lost: bool = False  # nothing answers
     late_s: float = 0.0  # how long the events are on their way
@@ -145,6 +146,7 @@ class PageServer:
         socket = web.WebSocketResponse()
         await socket.prepare(request)
         self._sockets.add(socket)
+        late: list[dict[str, Any]] = []
         async for message in socket:
             if message.type is not WSMsgType.TEXT:
                 break
@@ -157,7 +159,9 @@ class PageServer:
                 answer = {"op": "drive_result", "id": asked["id"], "result": not refusal}
                 if self._state.answering is not None:
                     await self._state.answering.wait()
-                await socket.send_json({**answer, **self._state.drive_answer, **refusal})
+                late.append({**answer, **self._state.drive_answer, **refusal})
+            while late and not self._state.is_mute:
+                await socket.send_json(late.pop(0))
             if asked["op"] == "call_service":
                 answer = {"op": "service_response", "id": asked.get("id"), "service": asked["service"]}
                 await socket.send_json({**answer, "values": {"time": {"secs": 0, "nsecs": 0}}, "result": True})

@@ -42,6 +42,8 @@ SETTINGS = {
     "wheels by an array": f'{WHEELS}topics = ["/{ROBOT}/cmd"]',
     "wheels by a JointState": f'{WHEELS}topics = ["/{ROBOT}/cmd"]\njoints = ["l", "r"]',
     "Joy": f'[robots.{ROBOT}.joy]\ntopic = "/{ROBOT}/cmd"',
+    "throttle and steering": f'[robots.{ROBOT}.throttle]\ntopics = ["/throttle", "/steering"]',
+    "Vector3": f'[robots.{ROBOT}.vector]\ntopic = "/{ROBOT}/cmd"',
     "words": f'[robots.{ROBOT}.words]\ntopic = "/{ROBOT}/cmd"\n'
     'forward = "F"\nbackward = "B"\nleft = "L"\nright = "R"\nstop = "S"',
 }
@@ -58,6 +60,7 @@ TOO_FAST: dict[str, dict[str, Any]] = {
     "std_msgs/Float32MultiArray": {"layout": LAYOUT, "data": [50.0, 50.0]},
     "sensor_msgs/JointState": {"name": ["l", "r"], "velocity": [50.0, 50.0]},
     "sensor_msgs/Joy": {"axes": [50.0] * 8, "buttons": [1] * 11},
+    "geometry_msgs/Vector3": {"x": 50.0, "y": 0.0, "z": 0.0},
     "std_msgs/String": {"data": "faster"},
 }
 

@@ -11,6 +11,7 @@ from playwright.async_api import Browser
 from playwright.async_api import expect as expect_text
 
 from hostlink.config import Config, RobotConfig
+from hostlink.errors import RefusalKind
 from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
@@ -67,6 +68,10 @@ class Scene:
     @property
     def owner(self) -> str | None:
         return self.host.hub.robots.find("robot_0").gate.owner_name
+
+    def refusals(self, kind: RefusalKind) -> int:
+        """How many commands were refused."""
+        return self.host.hub.robots.find("robot_0").admission.refused.get(kind, 0)
 
     async def drives(self) -> None:
         await expect(lambda: self.wanted != (0, 0))
@@ -415,9 +420,10 @@ async def test_page_shows_which_client_drives_and_which_has_priority(scene: Scen
         await scene.stands()
         async with driven_by_a_program(scene, priority=90):
             await tab.shows("#drive-state", "with a higher priority")
-            before = scene.wanted
+            before, refused = scene.wanted, scene.refusals(RefusalKind.HELD)
             await tab.page.keyboard.down("KeyW")
-            await tab.shows("#drive-state", "drives it with a higher priority")
+            await expect(lambda: scene.refusals(RefusalKind.HELD) > refused)
+            await tab.shows("#drive-state", "drives with a higher priority")
             assert scene.wanted == before
             await tab.page.keyboard.up("KeyW")
         await tab.shows("#drive-state", "no driver")

@@ -1,5 +1,6 @@
 """The page shows what is known of a robot's motion, and commands what its drive can do."""
 
+import asyncio
 import contextlib
 import struct
 from collections.abc import AsyncIterator
@@ -11,7 +12,7 @@ from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
 from hostlink.config import Config, RobotConfig
-from hostlink.protocol.frame import Id
+from hostlink.protocol.frame import Id, encode
 from tests.support.background import meanwhile
 from tests.support.browser import Visit, visit
 from tests.support.daemon import daemon
@@ -23,6 +24,7 @@ pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 PICTURES = Path("build/screenshots")
 SENT_AGAIN_S = 0.2
+ASKS_S = 1.0
 PAD = """
   const pad = { connected: true, mapping: "standard", axes: [0, 0, -1, 0],
     buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
@@ -35,8 +37,8 @@ Motion = tuple[float, float, float]  # forward, to the left, counter-clockwise
 class Board:
     """The velocities that arrive at a device."""
 
-    def __init__(self, tab: Visit) -> None:
-        self.tab = tab
+    def __init__(self, tab: Visit, url: str) -> None:
+        self.tab, self.url = tab, url
         self.heard: list[Motion] = []
 
     async def listen(self, device: FakeDevice) -> None:
@@ -47,6 +49,13 @@ class Board:
                 if frame.topic_id == 100:
                     x, y, _, _, _, yaw = struct.unpack("<6d", frame.payload)
                     self.heard.append((x, y, yaw))
+
+    async def live(self, device: FakeDevice) -> None:
+        """Ask for the time as a device does that publishes nothing; else the page says that it is silent."""
+        with contextlib.suppress(OSError):
+            while True:
+                await device.send(encode(Id.TIME, bytes(8)))
+                await asyncio.sleep(ASKS_S)
 
     def moves(self, *signs: int) -> bool:
         """Whether the newest velocity has these signs."""
@@ -67,8 +76,8 @@ async def board(browser: Browser, kinematics: Any) -> AsyncIterator[Board]:
         fake_device(host.tcp, topics) as device,
         visit(browser, host.url, script=PAD) as tab,
     ):
-        new = Board(tab)
-        async with meanwhile(new.listen(device)):
+        new = Board(tab, host.url)
+        async with meanwhile(new.listen(device)), meanwhile(new.live(device)):
             await tab.shows("#drive-state", "no driver")
             yield new
             assert tab.complaints == []
@@ -132,6 +141,34 @@ async def test_a_car_is_not_asked_to_turn_in_place_and_the_page_says_why(browser
         await expect_never(lambda: not device.moves(0, 0, 0), for_s=SENT_AGAIN_S)
 
 
+async def test_of_two_pages_the_one_that_takes_over_drives_until_it_lets_go(browser: Browser) -> None:
+    """The first page holds its key all the time: the key must be pressed again, and its zeros do not stop the robot."""
+    async with board(browser, "differential") as device, visit(browser, device.url) as other:
+        first, second = device.tab.page.keyboard, other.page.keyboard
+        await device.tab.hold("KeyW", lambda: device.moves(1, 0, 0))
+        await device.tab.shows("#drive-state", "You drive")
+        await second.down("KeyS")
+        await other.shows("#drive-state", "127.0.0.1) until it lets go")
+        await other.page.get_by_role("button", name="Take over").click()
+        await other.shows("#drive-state", "Hold the stick to take over")
+        assert device.moves(1, 0, 0)
+        await second.up("KeyS")
+        await other.hold("KeyS", lambda: device.moves(-1, 0, 0))
+        await other.shows("#drive-state", "You drive")
+        await device.tab.shows("#drive-state", "127.0.0.1) until it lets go")
+        await expect_page(device.tab.page.get_by_role("button", name="Take over")).to_be_visible()
+        taken = len(device.heard)
+        await first.up("KeyW")
+        await first.down("KeyW")
+        await expect_never(lambda: any(each[0] >= 0 for each in device.heard[taken:]), for_s=SENT_AGAIN_S)
+        await device.tab.shows("#drive-state", "127.0.0.1) until it lets go")
+        await second.up("KeyS")
+        await device.tab.hold("KeyW", lambda: device.moves(1, 0, 0))
+        await first.up("KeyW")
+        await device.stands()
+        assert other.complaints == []
+
+
 async def shown(server: PageServer, tab: Visit, **changes: Any) -> None:
     server.show(State([robot("robot_0", **changes), robot("robot_1")], [link("robot_0"), link("robot_1")]))
     await tab.shows("#drive-state", "no driver")
@@ -143,7 +180,9 @@ async def test_the_page_shows_what_is_known_of_the_motion_and_no_zero_that_was_n
         pose, card = tab.page.locator("#pose"), tab.page.locator("#robots .robot").first
         await shown(server, tab, feedback="none", odometry=None, odometry_topic=None, command_type="sensor_msgs/Joy")
         await tab.shows("#pose", "no odometry")
-        await expect_page(card).to_contain_text("commanded by Joy · cannot be measured")
+        await expect_page(card).to_contain_text("commanded by Joy")
+        await expect_page(card).to_contain_text("no odometry")
+        await expect_page(tab.page.locator("#odometry-reset")).to_be_disabled()
         await tab.shows("[data-tile=rate]", "none")
         assert "0.0" not in await pose.inner_text()
         await tab.page.screenshot(path=PICTURES / "page-no-odometry.png")

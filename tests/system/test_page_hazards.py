@@ -3,7 +3,7 @@
 import asyncio
 import math
 from collections.abc import AsyncIterator, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http import HTTPStatus
 from typing import Any
 
@@ -99,6 +99,14 @@ class Scene:
         await expect(lambda: len(self.commands()) > sent + 2)
         return self.commands()[-1][1]
 
+    async def pauses(self) -> None:
+        """Wait until nothing more is sent."""
+        sent = -1
+        async with asyncio.timeout(TIMEOUT_S):
+            while sent != len(self.commands()):
+                sent = len(self.commands())
+                await asyncio.sleep(2 * SENT_AGAIN_S)
+
     async def stands(self) -> None:
         """Check that zeros were sent last, and that nothing follows while keys stay held."""
         await expect(lambda: [each[1:] for each in self.commands()[-2:]] == [(0, 0), (0, 0)])
@@ -119,7 +127,7 @@ async def scene(opened: Scene) -> Scene:
     opened.server.show(fleet("robot_0"))
     await opened.tab.layout("Drive")
     await page.mouse.up()
-    for key in ("KeyW", "ArrowDown", "Meta"):
+    for key in ("KeyW", "KeyA", "ArrowDown", "Meta"):
         await page.keyboard.up(key)
     await page.evaluate("document.activeElement.blur()")
     await opened.tab.shows("#drive-state", "no driver")
@@ -251,6 +259,10 @@ async def test_a_gamepad_drives_only_from_the_window_that_has_the_focus(scene: S
     await scene.tab.shows("#gamepad", "another window")
     assert scene.commands() == []
     await page.evaluate("delete document.hasFocus")
+    await scene.tab.shows("#gamepad", "release the shoulder button")  # it was held before the window had the focus
+    assert scene.commands() == []
+    await page.evaluate("pad.buttons[5].pressed = false")
+    await scene.tab.shows("#gamepad", "hold a shoulder button")
     await scene.tab.hold_button("pad.buttons[5]", lambda: scene.is_driven("robot_0"))
     await page.evaluate("pad.buttons[5].pressed = false")
     await scene.stands()
@@ -687,6 +699,98 @@ def take_overs(scene: Scene) -> Iterator[bool]:
     return (each["take_over"] for each in scene.server.published if each["op"] == "drive" and each["linear"])
 
 
+async def test_a_zero_waits_for_no_answer(scene: Scene) -> None:
+    """A car of which only the turn is held any longer stops, also while the daemon is slow."""
+    keys, state = scene.tab.page.keyboard, fleet("robot_0", kinematics="ackermann")
+    scene.server.show(state)
+    await scene.tab.until("document.querySelector('#drive').dataset.turns === 'moving'")
+    await scene.holds("KeyW")
+    await keys.down("KeyA")
+    state.is_mute = True
+    await scene.pauses()
+    assert scene.is_driven("robot_0")
+    await keys.up("KeyW")
+    await scene.stands()
+    state.is_mute = False
+    await keys.up("KeyA")
+
+
+async def test_a_car_that_stood_while_its_turn_was_held_begins_a_new_motion(scene: Scene) -> None:
+    """The daemon refuses the epoch of the earlier motion if the robot was stopped meanwhile."""
+    keys, state = scene.tab.page.keyboard, fleet("robot_0", kinematics="ackermann")
+    state.drive_answer = {"epoch": 7}
+    scene.server.show(state)
+    await scene.tab.until("document.querySelector('#drive').dataset.turns === 'moving'")
+    await scene.holds("KeyW")
+    await expect(lambda: scene.moving_epochs()[-1] == 7)
+    await keys.down("KeyA")
+    await keys.up("KeyW")
+    await expect(lambda: [each[1:] for each in scene.commands()[-3:]] == 3 * [(0, 0)])  # all zeros are sent
+    await keys.up("KeyA")
+    scene.server.published.clear()
+    await scene.holds("KeyW")
+    assert scene.moving_epochs()[0] is None
+    await keys.up("KeyW")
+
+
+async def test_a_page_that_loses_its_right_to_drive_sends_its_zeros(scene: Scene) -> None:
+    state = fleet("robot_0")
+    await scene.holds("KeyW")
+    scene.server.show(replace(state, role="read"))
+    await scene.tab.shows("#drive-state", "has the role read")
+    await scene.stands()
+    await scene.tab.page.keyboard.up("KeyW")
+    scene.server.show(state)
+    await scene.tab.shows("#drive-state", "no driver")
+
+
+async def test_a_page_that_never_drove_sends_no_zeros(scene: Scene) -> None:
+    page, state = scene.tab.page, fleet("robot_0")
+    scene.server.show(replace(state, role="read"))
+    await scene.tab.shows("#drive-state", "has the role read")
+    await page.keyboard.down("KeyW")
+    await page.keyboard.up("KeyW")
+    scene.server.show(replace(state, robots=fleet("robot_0", kinematics="ackermann").robots))
+    await scene.tab.until("document.querySelector('#drive').dataset.turns === 'moving'")
+    await scene.tab.hold("KeyA", lambda: True)
+    await scene.tab.shows("#drive-state", "Cannot turn in place")
+    await page.keyboard.up("KeyA")
+    assert scene.commands() == []
+
+
+async def test_a_take_over_begins_while_the_stick_is_still_refused(scene: Scene) -> None:
+    """A user may click the button with the key still held, or just after it."""
+    page, state = scene.tab.page, fleet("robot_0", holder="client 2", priority=60)
+    state.drive_refusal = {"kind": "held", "reason": "robot_0: client 2 drives it with the same priority"}
+    scene.server.show(state)
+    await scene.holds("KeyW")
+    await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
+    await page.get_by_role("button", name="Take over").click()
+    await scene.stands()
+    await scene.tab.shows("#drive-state", "Hold the stick to take over from client 2")
+    await page.keyboard.up("KeyW")
+    scene.server.published.clear()
+    state.drive_refusal = {}
+    await scene.holds("KeyW")
+    assert next(take_overs(scene))
+    await page.keyboard.up("KeyW")
+
+
+async def test_a_take_over_is_of_the_robot_for_which_it_was_pressed(scene: Scene) -> None:
+    page, button = scene.tab.page, scene.tab.page.get_by_role("button", name="Take over")
+    scene.server.show(fleet("robot_0", "robot_1", holder="client 2", priority=60))
+    await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
+    await button.click()
+    await scene.tab.shows("#drive-state", "Hold the stick to take over from client 2")
+    await page.locator("#robots .robot", has_text="robot_1").click()
+    await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
+    await expect_page(button).to_be_visible()
+    await scene.holds("KeyW", "robot_1")
+    assert not any(take_overs(scene))
+    await page.keyboard.up("KeyW")
+    await page.locator("#robots .robot", has_text="robot_0").click()
+
+
 @pytest.mark.long
 async def test_page_that_is_held_by_another_page_shows_who_and_takes_over_by_its_button(scene: Scene) -> None:
     page, server = scene.tab.page, scene.server
@@ -695,9 +799,9 @@ async def test_page_that_is_held_by_another_page_shows_who_and_takes_over_by_its
     await scene.tab.shows("#drive-state", "your stick takes over")  # from a program, as ever
     assert not await button.is_visible()
     server.show(fleet("robot_0", holder="client 2", priority=60))
-    await scene.tab.shows("#drive-state", "client 2 drives until it lets go")
+    await scene.tab.shows("#drive-state", "Driven by client 2 until it lets go")
     await button.click()
-    await scene.tab.shows("#drive-state", "client 2 drives: hold the stick to take over")
+    await scene.tab.shows("#drive-state", "Hold the stick to take over from client 2")
     assert not await button.is_visible()
     await scene.holds("KeyW")
     await expect(lambda: [*take_overs(scene)][:1] == [True])

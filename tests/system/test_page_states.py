@@ -97,7 +97,11 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
             await tab.shows("#drive-state", "no driver")
             assert not await tab.page.locator("#max-linear").is_disabled()
             assert tab.other_hosts == []
-        assert host.hub.robots.find("robot_0").gate.counts.commands == 0
+            gate = host.hub.robots.find("robot_0").gate
+            assert gate.counts.commands == 0
+            await tab.hold("KeyW", lambda: gate.counts.commands > 0)  # the new token may drive
+            await tab.shows("#drive-state", "You drive")
+            await tab.page.keyboard.up("KeyW")
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -17,7 +17,7 @@ from hostlink.hub.participant import Participant
 from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType
-from hostlink.robot.admission import EarlierMotion
+from hostlink.robot.admission import EarlierMotion, Resumption
 from hostlink.robot.velocity import ZERO, Twist
 
 MAX_SUBSCRIBERS = 64  # of one topic
@@ -150,6 +150,7 @@ class _PublisherConnection:
         self.participant: Participant | None = None  # from the header to the end
         self._node, self._topic, self._refusals, self._is_new = node, topic, refusals, is_new
         self._motion = EarlierMotion()
+        self._resumption = Resumption()
         self._too_large = 0
 
     @property
@@ -213,14 +214,19 @@ class _PublisherConnection:
             self.ended.set_result(None)
 
     def _receive(self, messages: list[bytes], participant: Participant, type_: MessageType) -> None:
-        """Publish messages; of several velocities only the newest, and the newest zero before it."""
+        """Publish messages; of several velocities only the newest, and the newest zero before it.
+
+        After a silence also the first: it shows the admission that they waited for the network.
+        """
         counts, stream = self._node.counts, self.wire.stream
         counts.messages_from_ros += len(messages)
         counts.too_large_messages += stream.too_large - self._too_large
         self._too_large = stream.too_large
+        is_resumed = self._topic.is_velocity and self._resumption.is_recent(self.wire.came_s)
         if self._topic.is_velocity and len(messages) > 1:
             zero = next(filter(_is_zero, reversed(messages[:-1])), None)
-            newest = messages[-1:] if zero is None else [zero, messages[-1]]
+            newest = messages[:1] if is_resumed and zero is None else [] if zero is None else [zero]
+            newest.append(messages[-1])
             counts.superseded_velocities += len(messages) - len(newest)
             messages = newest
         for payload in messages:

@@ -73,11 +73,12 @@ class FleetStates:
     def tick(self, topics: int) -> None:
         """Send what has changed; `topics`: the number of the list of topics."""
         self._topics, now_s = topics, loop_time_s()
-        states = self.states()
-        known = (topics, *(msgspec.structs.replace(each, **_UNSTEADY) for each in states))
+        states, boards_locked = self.states(), self._hub.robots.boards.lock_reason
+        known = (topics, boards_locked, *(msgspec.structs.replace(each, **_UNSTEADY) for each in states))
         if now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known:
             self._due_s, self._known = now_s + STATE_INTERVAL_S, known
-            self._states.put(encode(State(sent_s=self._transport.clock_s(now_s), topics=topics, robots=states)))
+            sent_s = self._transport.clock_s(now_s)
+            self._states.put(encode(State(sent_s=sent_s, topics=topics, robots=states, boards_locked=boards_locked)))
         elif self._is_live:
             self._send_motions(states)
 

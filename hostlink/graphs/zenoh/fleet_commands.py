@@ -18,8 +18,11 @@ from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkErro
 from hostlink.graphs.zenoh.fleet_messages import (
     ANSWER,
     GROUP,
+    MAX_BOARD_TOPICS,
+    MAX_ROBOTS,
     REQUEST,
     STOP_REQUEST,
+    BoardTopic,
     FleetAnswer,
     FleetCommand,
     FleetTransport,
@@ -29,11 +32,13 @@ from hostlink.graphs.zenoh.fleet_messages import (
     Stop,
     StopRequest,
     Unlock,
+    is_shareable,
     state_of,
 )
 from hostlink.graphs.zenoh.fleet_orders import ANSWER_TIMEOUT_S, FleetOrders, Order
 from hostlink.graphs.zenoh.roster import FleetRoster, Neighbour
 from hostlink.graphs.zenoh.session import ZenohSample
+from hostlink.hub.device import CommandEndpoint
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot, RemoteRobot
@@ -129,7 +134,10 @@ class FleetDrivers:
                         driver.participant.leave()
                     return FleetAnswer(number=request.number)
                 case Unlock():
-                    self._check_role(neighbour, request.robot)
+                    self._check_role(neighbour, request.robot or "every board")
+                    if request.robot is None:
+                        self._hub.robots.unlock_all_here(by=str(printable(neighbour.sender.name)))
+                        return FleetAnswer(number=request.number)
                     robot = self._hub.robots.find_here(request.robot)
                     robot.unlock(by=str(printable(neighbour.sender.name)))
                     return FleetAnswer(number=request.number, robots=(state_of(robot),))
@@ -164,17 +172,29 @@ class FleetDrivers:
         robots = [robot for robot in self._hub.robots.here() if name in (None, robot.name)]
         is_repeated = request.number in neighbour.stops
         if is_repeated:  # its answer was lost; obeying again could end what began since
-            return FleetAnswer(number=request.number, robots=tuple(map(state_of, robots)))
+            return self._stopped(request, robots)
         if robots or name is None:  # a robot that is not here yet is stopped or locked once it is
             neighbour.stops.append(request.number)
-        if name is None:
+        reason = f"{request.reason} ({neighbour.sender.name})" if isinstance(request, Lock) else None
+        if name is None and reason is None:
             self._hub.robots.stop_all_here(by=by)
-        for robot in robots if name is not None else ():
-            if isinstance(request, Lock):
-                robot.lock_here(f"{request.reason} ({neighbour.sender.name})", by=by)
-            else:
-                robot.stop_here(by=by)
-        return FleetAnswer(number=request.number, robots=tuple(map(state_of, robots)))
+        elif name is None:
+            self._hub.robots.lock_all_here(reason or "", by=by)
+        else:
+            for robot in robots:
+                robot.stop_here(by=by) if reason is None else robot.lock_here(reason, by=by)
+        return self._stopped(request, robots)
+
+    def _stopped(self, request: StopRequest, robots: list[LocalRobot]) -> FleetAnswer:
+        """Return the answer to a stop or a lock that was obeyed."""
+        if request.robot is None:
+            found = self._hub.robots.endpoints()
+        else:
+            found = [each for robot in robots for each in robot.unguarded_endpoints]
+        found.sort(key=lambda each: not each.reason)  # those first that could not be sent a zero
+        boards = tuple(map(BoardTopic.of, found[:MAX_BOARD_TOPICS]))
+        shared = [robot for robot in robots if is_shareable(robot)][:MAX_ROBOTS]
+        return FleetAnswer(number=request.number, robots=tuple(map(state_of, shared)), boards=boards)
 
     def _check_role(self, neighbour: Neighbour, what: str) -> None:
         name = neighbour.sender.name
@@ -325,10 +345,11 @@ class FleetRequests:
         """Stop all robots of this name at all daemons, also at those out of sight; None: every robot."""
         self._send_to_all(Stop(number=next(self._numbers), robot=name), "stop")
 
-    def lock(self, name: str, reason: str) -> None:
-        """Lock all robots of this name at all daemons, also at those out of sight."""
+    def lock(self, name: str | None, reason: str) -> None:
+        """Lock all robots of this name at all daemons, also at those out of sight; None: every robot and board."""
         self._send_to_all(Lock(number=next(self._numbers), robot=name, reason=reason), "lock")
-        self.show((name,))
+        if name is not None:
+            self.show((name,))
 
     def lock_reason(self, name: str) -> str | None:
         """Return the reason of a lock that a daemon has not obeyed yet, as it will show it."""
@@ -348,8 +369,21 @@ class FleetRequests:
         self._transport.put("drive", request, to=zid)
         self.show((robot.name,))
 
-    async def settled(self) -> None:
+    def unlock_all(self) -> None:
+        """Unlock the boards of each daemon at which they are locked, and its robots that are not known here."""
+        self._orders.withdraw_locks(None)
+        for neighbour in self._roster.all():
+            if neighbour.boards_locked is not None:
+                neighbour.boards_locked = None
+                zid, name = neighbour.sender.zid, neighbour.sender.name
+                request = Unlock(number=next(self._numbers), robot=None)
+                self._orders.add(request, "unlock", {zid: name}, loop_time_s())
+                self._transport.put("drive", request, to=zid)
+
+    async def settled(self) -> list[CommandEndpoint]:
         """Wait until every daemon has answered the stops, locks and unlocks so far.
+
+        Return the topics of their boards that are not a robot's.
 
         Raises:
             DeviceGone: one of them has not answered in time, or has refused.
@@ -367,6 +401,8 @@ class FleetRequests:
             if each.missing or each.refusal:
                 hosts = ", ".join(sorted(set(each.missing.values())))
                 raise DeviceGone(hosts or each.what, each.refusal or _unanswered(each))
+        boards = (board for each in waited_for for board in each.boards)
+        return list({(board.host, board.link, board.topic): board for board in boards}.values())
 
     # -- answers ------------------------------------------------------------------------------------------------------
 
@@ -389,8 +425,11 @@ class FleetRequests:
                 command.robot.admission.end_drives(command.owner)  # it keeps the robot from no driver here
             command.is_answered.set()
             return None
-        if not self._orders.receive(neighbour.sender, answer):
+        order = self._orders.receive(neighbour.sender, answer)
+        if order is None:
             return None
+        if isinstance(order.request, Lock) and order.robot is None and not answer.error:
+            neighbour.boards_locked = order.request.reason  # its next state says so, too
         for state in answer.robots:
             if state.name in neighbour.robots:
                 neighbour.robots[state.name] = state

@@ -13,6 +13,7 @@ from typing import Annotated, NamedTuple, TypeVar
 import msgspec
 
 from hostlink.graphs.zenoh.session import ZenohSession
+from hostlink.hub.device import CommandEndpoint
 from hostlink.hub.robot import LocalRobot
 from hostlink.logs import printable
 from hostlink.robot.kinematics import Pose
@@ -22,6 +23,7 @@ from hostlink.robot.velocity import PlanarVelocity, Twist
 
 MAX_ROBOTS = 256  # of one daemon
 MAX_TOPICS = 4096  # of one daemon
+MAX_BOARD_TOPICS = 64  # in one answer
 MAX_STATE_BYTES = 256 * 1024
 MAX_REQUEST_BYTES = 4096
 _DIGITS = 6  # micrometres
@@ -159,6 +161,7 @@ class State(msgspec.Struct, frozen=True, kw_only=True):
     topics: int
     robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
     is_last: bool = False  # the daemon ends, and has stopped its robots; an older daemon does not send it
+    boards_locked: Text | None = None  # reason of the lock of its boards; an older daemon locks none
 
 
 class RobotMotion(msgspec.Struct, frozen=True, array_like=True):
@@ -220,10 +223,10 @@ class Release(msgspec.Struct, frozen=True, kw_only=True, tag="release"):
 
 
 class Unlock(msgspec.Struct, frozen=True, kw_only=True, tag="unlock"):
-    """Let a robot be driven again."""
+    """Let a robot be driven again; None: every board, and every robot whose name no other daemon has."""
 
     number: int
-    robot: RobotName
+    robot: RobotName | None
 
 
 Receivers = Annotated[tuple[Annotated[str, msgspec.Meta(max_length=64)], ...], msgspec.Meta(max_length=64)]
@@ -238,18 +241,58 @@ class Stop(msgspec.Struct, frozen=True, kw_only=True, tag="stop"):
 
 
 class Lock(msgspec.Struct, frozen=True, kw_only=True, tag="lock"):
-    """Stop all robots of a name, and refuse commands until they are unlocked. `to`: as for a stop."""
+    """Stop all robots of a name, and refuse commands until they are unlocked. `to`: as for a stop.
+
+    None: every robot and every board. An older daemon does not answer that.
+    """
 
     number: int
-    robot: RobotName
+    robot: RobotName | None
     reason: Text
     to: Receivers = ()
+
+
+class BoardTopic(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Topic that commands a motion and is not a robot's, after a stop or a lock; as `CommandEndpoint`."""
+
+    link: int
+    peer: Text
+    topic: Text
+    type: Text
+    robot: Text | None = None
+    is_guarded: bool = False
+    is_locked: bool = False
+    reason: Text = ""
+
+    @classmethod
+    def of(cls, endpoint: CommandEndpoint) -> "BoardTopic":
+        """Return the message of a topic here."""
+        return cls(
+            link=endpoint.link,
+            peer=printable(endpoint.peer, _TEXT_CHARS),
+            topic=printable(endpoint.topic, _TEXT_CHARS),
+            type=printable(endpoint.type_name, _TEXT_CHARS),
+            robot=None if endpoint.robot is None else printable(endpoint.robot, _TEXT_CHARS),
+            is_guarded=endpoint.is_guarded,
+            is_locked=endpoint.is_locked,
+            reason=printable(endpoint.reason, _TEXT_CHARS),
+        )
+
+    def at(self, host: str) -> CommandEndpoint:
+        """Return the topic of another daemon."""
+        robot = None if self.robot is None else printable(self.robot)
+        topic, peer, type_name = map(printable, (self.topic, self.peer, self.type))
+        reason = printable(self.reason)
+        return CommandEndpoint(
+            self.link, peer, robot, topic, type_name, self.is_guarded, self.is_locked, reason, printable(host)
+        )
 
 
 class FleetAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Answer to the request of a number: the velocity after the limits, the robots concerned, or a refusal.
 
-    `epoch`: how often the robot was interrupted.
+    `epoch`: how often the robot was interrupted. `boards`: after a stop or a lock, topics that are not a robot's, those
+    first that were not covered.
     """
 
     number: int
@@ -259,6 +302,7 @@ class FleetAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     velocity: tuple[float, ...] | None = None
     epoch: int | None = None
     robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
+    boards: Annotated[tuple[BoardTopic, ...], msgspec.Meta(max_length=MAX_BOARD_TOPICS)] = ()
 
 
 Request = FleetCommand | Release | Unlock

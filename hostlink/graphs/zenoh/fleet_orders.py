@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from hostlink.graphs.zenoh.fleet_messages import FleetAnswer, Lock, Sender, StopRequest, Unlock
+from hostlink.graphs.zenoh.fleet_messages import FleetAnswer, Lock, Sender, Stop, StopRequest, Unlock
 from hostlink.graphs.zenoh.roster import FleetRoster
+from hostlink.hub.device import CommandEndpoint
 from hostlink.logs import printable
 
 ANSWER_TIMEOUT_S = 0.5  # as long as a command lasts
@@ -37,6 +38,7 @@ class Order:
     sent_at_s: float = -math.inf
     is_overdue: bool = False  # its caller was told
     is_settled: asyncio.Event = field(default_factory=asyncio.Event)
+    boards: list[CommandEndpoint] = field(default_factory=list)  # of the daemons that obeyed: not a robot's
 
     @property
     def robot(self) -> str | None:
@@ -73,19 +75,21 @@ class FleetOrders:
     def receivers(self, request: StopRequest) -> dict[str, str]:
         """Return the names of all daemons that a stop or a lock concerns, by id, also of those out of sight.
 
-        A stop concerns a daemon at which the robot is, or was last, connected; a lock each that knows the robot.
+        A stop concerns a daemon at which the robot is, or was last, connected; a lock each that knows the robot. One of
+        all also concerns each daemon that has not ended: it may have boards that are not robots.
         """
         return {
             each.sender.zid: each.sender.name
             for each in self._roster.known()
-            if any(
+            if (request.robot is None and (each.is_alive if isinstance(request, Stop) else not each.has_ended))
+            or any(
                 request.robot in (None, name) and (isinstance(request, Lock) or robot.link is not None)
                 for name, robot in each.robots.items()
             )
         }
 
-    def withdraw_locks(self, robot: str) -> None:
-        """Withdraw the locks of a robot, because it is unlocked here."""
+    def withdraw_locks(self, robot: str | None) -> None:
+        """Withdraw the locks of a robot, or those of all, because it is unlocked here."""
         for number, each in list(self._orders.items()):
             if isinstance(each.request, Lock) and each.robot == robot:
                 del self._orders[number]
@@ -107,21 +111,23 @@ class FleetOrders:
         """Return the orders for whose answers a caller waits."""
         return [each for each in self._orders.values() if not each.is_overdue]
 
-    def receive(self, sender: Sender, answer: FleetAnswer) -> bool:
-        """Note an answer. Return whether it is one to an order."""
+    def receive(self, sender: Sender, answer: FleetAnswer) -> Order | None:
+        """Note an answer. Return the order that it answers; None if it answers none."""
         order = self._orders.get(answer.number)
         if order is None:
-            return False
-        is_known = any(each.name == order.robot for each in answer.robots)
+            return None
+        is_known = order.robot is None or any(each.name == order.robot for each in answer.robots)
         if isinstance(order.request, Lock) and not is_known and not answer.error:
-            return True  # a daemon that was restarted does not know the robot yet
+            return order  # a daemon that was restarted does not know the robot yet
         order.obeyed.add(sender.zid)
-        if order.missing.pop(sender.zid, None) is not None and answer.error:
-            order.refusal = printable(answer.reason, _TEXT)
+        if order.missing.pop(sender.zid, None) is not None:
+            order.boards += [each.at(sender.name) for each in answer.boards]
+            if answer.error:
+                order.refusal = printable(answer.reason, _TEXT)
         if not order.missing:
             order.is_settled.set()
             del self._orders[answer.number]
-        return True
+        return order
 
     def tick(self, now_s: float) -> tuple[list[Order], list[StopRequest]]:
         """Return the orders that are overdue now, and the requests to repeat, each with its receivers."""
@@ -151,7 +157,8 @@ class FleetOrders:
 
     def _follow(self, order: Order) -> None:
         """Follow daemons that were restarted, a robot that has moved, and what is forgotten."""
-        if isinstance(order.request, Lock) and self._roster.place(order.request.robot) is None:
+        name = order.robot
+        if isinstance(order.request, Lock) and name is not None and self._roster.place(name) is None:
             order.missing.clear()
         for zid in list(order.missing):
             known = self._roster.find_known(zid)
@@ -161,7 +168,7 @@ class FleetOrders:
                 order.missing[known.successor.zid] = known.successor.name
         if isinstance(order.request, Lock) and order.is_overdue:
             for each in self._roster.all():
-                if order.robot in each.robots and each.sender.zid not in order.obeyed:
+                if name in each.robots and each.sender.zid not in order.obeyed:
                     order.missing[each.sender.zid] = each.sender.name
 
     def _repetitions(self, request: StopRequest, missing: dict[str, str]) -> Iterator[StopRequest]:

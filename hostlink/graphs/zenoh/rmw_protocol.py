@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import xxhash
 
 from hostlink.graphs.ros2_names import Qos, is_ros2_name
-from hostlink.robot.admission import Freshness
+from hostlink.robot.admission import LEASE_S, Freshness
 
 _TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 _DDS_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)::(msg|srv|action)::dds_::([A-Za-z][A-Za-z0-9_]*)_")
@@ -369,7 +369,8 @@ class RemoteGraph:
 class SourceClock:
     """Delay of a publisher's messages, by the wall clock of their sender.
 
-    A clock that is set back causes no delay: a message that waits never has an earlier time.
+    A clock that is set back causes no delay: a message that waits never has an earlier time. After a lease in which
+    messages were lost, a message may be as old as the lost ones: its publisher was not silent.
     """
 
     def __init__(self) -> None:
@@ -379,7 +380,9 @@ class SourceClock:
     def late_s(self, sequence_number: int, source_ns: int, now_s: float) -> float:
         """Seconds that a message waited longer on its way than the quickest before it."""
         number, time_ns = self._newest
+        gap_s = (source_ns - time_ns) / _NS_PER_S if 0 < number < sequence_number - 1 else 0.0
         if sequence_number > number and source_ns < time_ns:
             self._freshness = Freshness()
         self._newest = max(self._newest, (sequence_number, source_ns))
-        return self._freshness.late_s(source_ns / _NS_PER_S, now_s)
+        late_s = self._freshness.late_s(source_ns / _NS_PER_S, now_s)
+        return late_s if gap_s < LEASE_S else max(late_s, gap_s)

@@ -34,6 +34,7 @@ class Neighbour:
     relinked_at_s: float = -math.inf
     was_heard: bool = False
     has_ended: bool = False  # it said so: its robots are stopped
+    boards_locked: str | None = None  # reason of the lock of its boards
     successor: Sender | None = None  # the same daemon after a restart
     stops: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_STOPS))  # numbers of its stops and locks, obeyed
     unanswered_since_s: float = math.inf  # the first command to it since it was heard
@@ -154,6 +155,7 @@ class FleetRoster:
         self._counts["met"] += neighbour.is_silent
         neighbour.heard_at_s, neighbour.is_silent, neighbour.was_heard = now_s, False, True
         neighbour.has_ended, neighbour.unanswered_since_s = state.is_last, math.inf
+        neighbour.boards_locked = state.boards_locked
         robots = {robot.name: robot for robot in state.robots if robot.is_below_its_name}
         self._counts["foreign_topics"] += len(state.robots) - len(robots)
         touched = set(neighbour.robots) | set(robots)

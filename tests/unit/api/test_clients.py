@@ -99,6 +99,30 @@ def test_velocity_that_came_much_before_a_newer_one_is_not_replaced_but_by_a_zer
     assert done(0.0, 9.0, last="a=0") == ["a=0"]
 
 
+def test_first_velocity_that_waits_after_a_silence_is_replaced_by_a_zero_alone() -> None:
+    """That operation shows the admission that the silence was that of the network."""
+
+    def done(*pieces: tuple[float, str]) -> list[str]:
+        async def run() -> list[str]:
+            program = Program()
+            box = operations(program)
+            for came_s, words in pieces:
+                for word in words.split():
+                    box.put(word, came_s, came_s)
+                while box.waiting:
+                    box.work()
+            return program.done
+
+        return run_virtual(run())
+
+    assert done((0.0, "a=1"), (0.4, "a=2 a=3 b=1 a=4")) == ["a=1", "b=1", "a=4"]
+    assert done((0.0, "a=1"), (0.5, "a=2 a=3 b=1 a=4 b=2"), (0.9, "a=5 a=6 a=7"), (1.1, "a=8 a=9")) == [
+        "a=1", "a=2", "b=1", "a=4", "b=2", "a=5", "a=7", "a=9",
+    ]  # fmt: skip
+    assert done((0.0, "a=1"), (0.5, "a=2 a=3 a=0")) == ["a=1", "a=2", "a=0"]
+    assert done((0.0, "a=1"), (0.5, "a=2 a=0")) == ["a=1", "a=0"]
+
+
 def test_zero_is_never_replaced_and_replaces_velocities() -> None:
     assert outcome("a=1", "a=0", "a=2", "a=0", "a=0").done == ["a=0", "a=0", "a=0"]
     assert outcome("a=0", "a=1").done == ["a=0", "a=1"]

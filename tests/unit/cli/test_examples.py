@@ -28,12 +28,15 @@ def sample(tmp_path: Path) -> Config:
     return load(path)
 
 
+COMMAND_TABLES = {"wheels", "joy", "words", "throttle", "vector"}
+
+
 @pytest.fixture
 def whole(tmp_path: Path) -> dict[str, Any]:
     """With every setting made, as it was written; it must be valid too."""
     text = SETTING_NOT_MADE.sub("", read_example("config"))
     path = tmp_path / "whole.toml"
-    for kept in ("command_topic", "wheels", "joy", "words"):  # one of them commands a robot
+    for kept in ("command_topic", *COMMAND_TABLES):  # one of them commands a robot
         path.write_text(_with_one_of_each(text, kept))
         load(path)
     return tomllib.loads(text)
@@ -50,7 +53,7 @@ def _with_one_of_each(text: str, kept: str) -> str:
         *({"command_topic"} - {kept}),
     ):
         text = re.sub(rf"^(?={alternative})", "#", text, flags=re.MULTILINE)
-    for table in {"wheels", "joy", "words"} - {kept}:
+    for table in COMMAND_TABLES - {kept}:
         text = re.sub(rf"^\[robots\.robot_0\.{table}\]\n?(?:.+\n)*", "", text, flags=re.MULTILINE)
     return text
 

@@ -11,6 +11,7 @@ import pytest
 
 from hostlink.client import Driven, Refusal, Robot, driver
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
+from hostlink.hub.device import CommandEndpoint
 from hostlink.hub.gates import RemoteHosts
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import LET_GO, WAS_STOPPED, EventKind, RobotEvent
@@ -115,8 +116,9 @@ async def test_stop_stops_and_nothing_is_repeated() -> None:
 class Unanswered(RemoteHosts):
     """Another daemon, which answers nothing."""
 
-    async def settled(self) -> None:
+    async def settled(self) -> list[CommandEndpoint]:
         await asyncio.Event().wait()
+        return []
 
 
 @virtual

@@ -34,6 +34,7 @@ def found(monitor: MotionMonitor, now_s: float = 1.0, **facts: object) -> dict[s
             "heading_in_z",
             "10 orientations of which only z is set, to a heading of 10 messages on /odom",
         ),
+        ("sent_back", "pose_sent_back", "10 poses that it was given of 10 messages on /odom"),
         ("zero_stamp", "bad_stamp", "10 stamps of 0 of 10 messages on /odom"),
         ("slash_frame", "slash_frame", '"/odom"; 10 frames with a slash of 10 messages on /odom'),
         ("zero_covariance", "zero_covariance", "10 covariances of zeros of 10 messages on /odom"),
@@ -48,7 +49,9 @@ def test_flaw_of_most_messages_is_a_finding_until_they_are_old(flaw: str, code: 
     assert found(monitor, 2.0 + RECENT_S) == {}
 
 
-@pytest.mark.parametrize("flaw", ["not_finite", "zero_quaternion", "heading_in_z", "zero_stamp", "zero_covariance"])
+@pytest.mark.parametrize(
+    "flaw", ["not_finite", "zero_quaternion", "heading_in_z", "sent_back", "zero_stamp", "zero_covariance"]
+)
 def test_flaw_of_two_messages_is_not_a_finding(flaw: str) -> None:
     monitor = monitored((flaw,), 2)
     for number in range(20):
@@ -61,6 +64,19 @@ def test_stamps_of_zero_before_the_first_time_answer_are_not_a_finding() -> None
     for number in range(30):
         monitor.observe((), 2.0 + number * 0.1)
     assert found(monitor, 5.0) == {}
+
+
+def test_poses_that_are_missing_are_named_with_their_counts_for_half_a_minute() -> None:
+    monitor = monitored(("not_finite", "zero_stamp"), 3)
+    monitor.observe(("zero_quaternion",), 0.5)
+    monitor.sample(1.0)
+    text = "3 poses with NaN or infinity, 1 orientations that are four zeros"
+    assert monitor.evidence(1.0).without_pose == text
+    monitor.sample(0.9 + RECENT_S)
+    assert monitor.evidence(0.9 + RECENT_S).without_pose == text
+    monitor.sample(1.0 + RECENT_S)
+    assert monitor.evidence(1.0 + RECENT_S).without_pose == ""
+    assert monitored(("zero_stamp",)).evidence(1.0).without_pose == ""
 
 
 def test_heading_in_z_that_passes_zero_is_one_finding() -> None:

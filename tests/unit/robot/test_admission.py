@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hostlink.errors import RefusalKind
 from hostlink.robot.admission import (
     ANY_SOURCE,
+    BUNCH_S,
     DRIFT,
     EARLIER_EPOCH,
     LEASE_S,
@@ -22,6 +23,7 @@ from hostlink.robot.admission import (
     EarlierCommands,
     EarlierMotion,
     Freshness,
+    Resumption,
     named,
 )
 from hostlink.robot.kinematics import AckermannDrive, DifferentialDrive
@@ -156,6 +158,117 @@ def test_disarmed_source_after_a_lease_of_silence_is_admitted(driven: Timeline, 
     assert driven.command().is_admitted
 
 
+def test_silence_that_only_this_daemon_made_arms_nothing(driven: Timeline) -> None:
+    """A busy daemon reads late: what it reads after a lease was sent within the lease."""
+    driven.stop()
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command(waited_s=0.2).kind is RefusalKind.DISARMED
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command(waited_s=0.1).is_admitted
+
+
+def test_silence_that_only_the_network_made_arms_nothing(robot: Timeline) -> None:
+    """After a gap of the network come the commands of the gap, the newest of which is as quick as those before it."""
+    for sent_s in (7.0, 7.1, 7.2):
+        assert robot.command(sent_s=sent_s).is_admitted
+        robot.wait(0.1)
+    robot.stop()
+    robot.wait(1.05)
+    kinds = [robot.command(sent_s=7.3 + number / 10).kind for number in range(11)]
+    assert kinds == [RefusalKind.LATE] * 6 + [RefusalKind.DISARMED] * 5
+    robot.wait(LEASE_S + 0.1)
+    assert robot.command(sent_s=8.4 + LEASE_S).is_admitted
+
+
+@pytest.mark.parametrize("silent_s", [0.0, LEASE_S + 0.1], ids=["after the stop", "also before the stop"])
+def test_commands_that_come_together_after_a_silence_waited_for_the_network(driven: Timeline, silent_s: float) -> None:
+    driven.wait(silent_s)
+    driven.stop()
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command().is_admitted  # nothing tells yet that it waited
+    driven.wait(BUNCH_S / 2)
+    assert driven.command().kind is RefusalKind.DISARMED
+    assert driven.driver() is None
+    for _ in range(10):
+        driven.wait(0.1)
+        assert driven.command().kind is RefusalKind.DISARMED
+    driven.wait(LEASE_S)
+    assert driven.command().is_admitted
+
+
+def test_commands_that_come_together_later_in_the_lease_after_a_silence_waited_for_the_network(
+    driven: Timeline,
+) -> None:
+    """The network brings the oldest command, and the others a round trip later."""
+    driven.stop()
+    driven.wait(LEASE_S + 0.1)
+    assert driven.command().is_admitted
+    driven.wait(0.06)
+    assert driven.command().is_admitted
+    assert driven.command().kind is RefusalKind.DISARMED
+
+
+def test_commands_that_come_together_for_other_reasons_are_admitted(driven: Timeline) -> None:
+    assert driven.command().is_admitted  # nothing has interrupted the robot
+    driven.wait(LEASE_S)
+    assert driven.command().is_admitted
+    assert driven.command().is_admitted
+    driven.stop()
+    driven.wait(LEASE_S)
+    assert driven.command(topic="cmd_vel").is_admitted
+    assert driven.command(topic="arm_vel").is_admitted  # of one cycle of its program
+    driven.wait(BUNCH_S)
+    assert driven.command(topic="cmd_vel").is_admitted
+    assert driven.command(topic="cmd_vel", epoch=driven.admission.epoch).is_admitted
+    driven.wait(LEASE_S)
+    assert driven.command(topic="cmd_vel").is_admitted
+    assert driven.command(topic="cmd_vel").is_admitted  # it began anew a lease ago
+    assert driven.command(source="bob").is_admitted
+    assert driven.command(source="bob").is_admitted  # a new source
+    assert driven.command(ZERO, source="bob").is_admitted
+    driven.stop()
+    assert driven.command(source="bob").is_admitted
+    assert driven.command(source="bob").is_admitted  # it had let go by a zero
+
+
+@pytest.mark.parametrize(("late_s", "kind"), [(0.05, None), (0.2, RefusalKind.DISARMED)])
+def test_commands_that_a_slightly_late_loop_reads_together_after_a_silence_are_admitted(
+    driven: Timeline, late_s: float, kind: RefusalKind | None
+) -> None:
+    driven.stop()
+    driven.wait(2 * LEASE_S)
+    assert driven.command(waited_s=late_s).is_admitted
+    assert driven.command(waited_s=late_s).kind is kind
+
+
+def test_command_that_is_repeated_at_once_because_it_was_refused_is_admitted(driven: Timeline) -> None:
+    driven.stop()
+    driven.wait(LEASE_S)
+    assert driven.command(source="bob", priority=60).is_admitted
+    assert driven.command().kind is RefusalKind.HELD
+    assert driven.command(priority=70).is_admitted
+
+
+def test_commands_that_tell_when_they_were_sent_may_come_together(robot: Timeline) -> None:
+    assert robot.command(sent_s=0.0).is_admitted
+    robot.stop()
+    robot.wait(LEASE_S + 0.1)
+    assert robot.command(sent_s=0.6).is_admitted
+    assert robot.command(sent_s=0.6).is_admitted
+
+
+def test_arrival_within_a_lease_after_a_silence_may_end_one_of_the_network() -> None:
+    resumption = Resumption()
+    times_s = [0.0, 0.4, 0.8, 1.3, 1.7, 1.9, 3.0]
+    assert [at_s for at_s in times_s if resumption.is_recent(at_s)] == [1.3, 1.7, 3.0]
+
+
+def test_silence_before_a_command_of_the_future_is_not_longer(driven: Timeline) -> None:
+    driven.stop()
+    driven.wait(LEASE_S - 0.1)
+    assert driven.command(waited_s=-1.0).kind is RefusalKind.DISARMED
+
+
 @pytest.mark.parametrize("interrupt", interruptions())
 def test_quiet_source_after_an_interruption_is_admitted(driven: Timeline, interrupt: object) -> None:
     interrupt(driven)  # type: ignore[operator]
@@ -224,6 +337,12 @@ def test_source_that_was_silent_for_a_lease_is_not_met_by_a_stop(driven: Timelin
     driven.wait(LEASE_S)
     driven.stop()
     assert driven.command().is_admitted
+
+
+def test_source_that_streams_is_met_by_a_stop_that_a_late_loop_obeys_before_what_waits(driven: Timeline) -> None:
+    driven.wait(LEASE_S)
+    driven.admission.interrupt(driven.now_s, came_s=driven.now_s - 0.3)
+    assert driven.command(waited_s=0.3).kind is RefusalKind.DISARMED
 
 
 def test_lock_ends_the_lease_at_once(driven: Timeline) -> None:
@@ -418,6 +537,49 @@ def test_source_that_let_go_while_the_device_was_away_is_armed(driven: Timeline)
     assert driven.command(ZERO).kind is RefusalKind.NOT_CONNECTED
     driven.admission.connect(driven.now_s)
     assert driven.command().is_admitted
+
+
+MISSING = "its device 10.0.0.3 is not connected"
+
+
+def test_robot_that_lacks_a_device_is_not_driven_and_says_which(driven: Timeline) -> None:
+    driven.admission.note_missing(MISSING, driven.now_s)
+    assert driven.driver() is None
+    assert not driven.admission.is_held(driven.now_s)
+    refusal = driven.command(source="eve")
+    assert (refusal.kind, refusal.reason) == (RefusalKind.NOT_CONNECTED, f"robot_0: {MISSING}")
+    assert driven.command(ZERO).is_admitted  # the device that is commanded is there
+
+
+@pytest.mark.parametrize("away_s", [0.1, LEASE_S, 60.0])
+def test_source_that_drove_when_a_device_of_the_robot_left_must_let_go(driven: Timeline, away_s: float) -> None:
+    driven.admission.note_missing(MISSING, driven.now_s)
+    driven.wait(away_s)
+    driven.admission.note_missing("", driven.now_s)
+    refusal = driven.command()
+    assert refusal.kind is RefusalKind.DISARMED
+    assert "a reconnection of one of its devices" in refusal.reason
+    assert driven.command(source="eve").is_admitted
+    assert driven.command(ZERO, source="eve").is_admitted
+    driven.wait(LEASE_S)
+    assert driven.command().is_admitted
+    driven.wait(LEASE_S)
+    driven.admission.note_missing(MISSING, driven.now_s)  # while the robot has no driver
+    driven.admission.note_missing("", driven.now_s)
+    assert driven.command().is_admitted
+
+
+def test_source_that_let_go_while_a_device_of_the_robot_was_away_is_armed(driven: Timeline) -> None:
+    driven.admission.note_missing(MISSING, driven.now_s)
+    assert driven.command(ZERO).is_admitted
+    driven.admission.note_missing("", driven.now_s)
+    assert driven.command().is_admitted
+
+
+def test_robot_that_still_has_all_its_devices_is_not_interrupted(driven: Timeline) -> None:
+    epoch = driven.admission.epoch
+    driven.admission.note_missing("", driven.now_s)
+    assert (driven.driver(), driven.admission.epoch) == ("ann", epoch)
 
 
 @pytest.mark.parametrize(("away_s", "kind"), [(2.5, None), (3.0, RefusalKind.DISARMED)])

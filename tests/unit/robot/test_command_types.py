@@ -1,6 +1,7 @@
 """Ways to command a robot: what each encodes is read with the catalog's type, and decoded again."""
 
 import math
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,12 +17,15 @@ from hostlink.robot.command_types import (
     JOY_TYPE,
     NUMBER_TYPES,
     STRING_TYPE,
+    VECTOR_TYPE,
     AckermannCommand,
     CommandType,
     FixedZero,
     JoyCommand,
+    ThrottleCommand,
     TopicType,
     TwistCommand,
+    VectorCommand,
     WheelCommand,
     WheelScale,
     WordCommand,
@@ -235,6 +239,57 @@ def test_wheels_that_differ_in_type_get_one_number_each() -> None:
 
 def joy(*, button: int | None = None, axes: tuple[int, int | None, int | None] = (1, None, 0)) -> JoyCommand:
     return JoyCommand(topic(JOY_TYPE), axes=axes, full=FULL, axis_count=2, button_count=1, button=button)
+
+
+CAR_TOPICS = (TopicType("throttle", "std_msgs/Int16"), TopicType("steering", "std_msgs/Float32"))
+
+
+def test_throttle_and_steering_of_a_car() -> None:
+    throttle, steering = WheelScale(100.0, rest=1500.0, lowest=1000.0, highest=2000.0), WheelScale(-1000.0, rest=1500.0)
+    command = ThrottleCommand(CAR_TOPICS, CAR, throttle, steering)
+    assert command.encode(ZERO) == (struct.pack("<h", 1500), struct.pack("<f", 1500.0))
+    assert command.encode(PlanarVelocity(math.nan)) == command.encode(ZERO)
+    yaw_rad_s = 2.0 * math.tan(0.2) / CAR.wheelbase_m
+    ahead, left = command.encode(PlanarVelocity(2.0, 0.0, yaw_rad_s))
+    assert struct.unpack("<h", ahead) == (1700,)
+    assert struct.unpack("<f", left) == pytest.approx((1300.0,))
+    ahead, _ = command.encode(PlanarVelocity(-9.0))
+    assert struct.unpack("<h", ahead) == (1000,)
+
+
+def test_throttle_that_is_not_a_number_is_refused() -> None:
+    topics = (CAR_TOPICS[0], TopicType("steering", STRING_TYPE))
+    with pytest.raises(ConfigError, match="std_msgs/String is not a number"):
+        ThrottleCommand(topics, CAR, WheelScale(1.0), WheelScale(1.0))
+
+
+@pytest.mark.parametrize(
+    ("fields", "sent"),
+    [
+        (("x", "y", "yaw"), (0.1, 0.2, 0.3)),
+        (("x", "yaw"), (0.1, 0.3, 0.0)),
+        (("x", "", "yaw"), (0.1, 0.0, 0.3)),
+        (("yaw",), (0.3, 0.0, 0.0)),
+    ],
+)
+def test_vector_has_the_components_of_its_fields(fields: tuple[str, ...], sent: tuple[float, ...]) -> None:
+    command = VectorCommand(TopicType("cmd", VECTOR_TYPE), fields)
+    velocity = PlanarVelocity(0.1, 0.2, 0.3)
+    (payload,) = command.encode(velocity)
+    assert struct.unpack("<3d", payload) == sent
+    again = command.decode("cmd", VECTOR_TYPE, payload).twist.planar
+    assert again == PlanarVelocity(
+        *(each if name in fields else 0.0 for name, each in zip(("x", "y", "yaw"), velocity, strict=True))
+    )
+    assert command.encode(ZERO) == (bytes(24),)
+    assert command.decode("cmd", TWIST_TYPE, Twist().encode()).twist.is_zero
+
+
+def test_vector_of_another_type_or_size_is_refused() -> None:
+    with pytest.raises(ConfigError, match="is not a geometry_msgs/Vector3"):
+        VectorCommand(TopicType("cmd", TWIST_TYPE), ("x",))
+    with pytest.raises(BadPayload):
+        VectorCommand(TopicType("cmd", VECTOR_TYPE), ("x",)).decode("cmd", VECTOR_TYPE, bytes(23))
 
 
 def test_joy_round_trip() -> None:

@@ -1,6 +1,7 @@
 """Feedback: which topics tell how a robot moves, and what wheels make of them."""
 
 import contextlib
+import itertools
 import math
 import random
 import struct
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.errors import BadPayload, ConfigError
-from hostlink.robot.feedback import RECOGNISED, Feedback, FeedbackKind, FeedbackSettings, recognised
+from hostlink.robot.feedback import RECOGNISED, SENT_BACK, Feedback, FeedbackKind, FeedbackSettings, recognised
 from hostlink.robot.kinematics import PLANAR, DifferentialDrive, Drive, Pose, SkidSteerDrive
 from hostlink.robot.readings import ODOMETRY_TYPE, OdometryReading
 from hostlink.robot.velocity import PlanarVelocity
@@ -45,6 +46,42 @@ def feed(feedback: Feedback, left: int, right: int, now_s: float, code: str = "h
         raw = (count % (1 << bits)).to_bytes(bits // 8, "little")
         found = feedback.read(name, raw, now_s=now_s)
     return found
+
+
+# -- poses that the device was given ----------------------------------------------------------------------------------
+
+
+def pose2d(pose: Pose) -> bytes:
+    return struct.pack("<3d", *pose)
+
+
+def test_pose_that_the_device_was_given_and_sends_back_is_left_out() -> None:
+    feedback = Feedback([("odom", "geometry_msgs/Pose2D")], RECOGNISED, PLANAR)
+    given_poses = [Pose(number / 10, 0.0, 0.1) for number in range(10)]
+    found = []
+    for pose in given_poses:
+        feedback.note_given(pose)
+        sent = struct.unpack("<3f", struct.pack("<3f", *pose))  # as a board rounds it
+        found.append(feedback.read("odom", struct.pack("<3d", *sent), now_s=0.0))
+    left_out = [each is not None and each.pose is None and each.flaws == ("sent_back",) for each in found]
+    assert left_out == [False] * (SENT_BACK - 1) + [True] * (11 - SENT_BACK)
+    again = feedback.read("odom", pose2d(given_poses[-1]), now_s=0.0)  # at rest
+    assert again is not None
+    assert again.is_empty
+    own = feedback.read("odom", pose2d(Pose(0.95, 0.01, 0.1)), now_s=0.0)  # it counts by itself after all
+    assert own is not None
+    assert own.pose is not None
+
+
+def test_device_that_counts_on_from_the_poses_that_it_is_given_is_believed() -> None:
+    feedback = Feedback([("odom", "geometry_msgs/Pose2D")], RECOGNISED, PLANAR)
+    for number in range(20):
+        feedback.note_given(Pose(float(number), 0.0, 0.0))  # a localisation corrects it
+        for step in range(3):
+            found = feedback.read("odom", pose2d(Pose(number + step / 100, 0.0, 0.0)), now_s=0.0)
+            assert found is not None
+            assert found.pose is not None
+        feedback.note_given(Pose(float(number), 0.0, 0.0))
 
 
 # -- which topic ------------------------------------------------------------------------------------------------------
@@ -81,6 +118,12 @@ def test_feedback_of_several_poses_is_the_one_named_odom() -> None:
     assert recognised([("a", ODOMETRY_TYPE), ("z/odom", ODOMETRY_TYPE)]) == ("z/odom", ODOMETRY_TYPE)
 
 
+def test_feedback_is_the_best_topic_in_any_order() -> None:
+    best, others = ("odom", ODOMETRY_TYPE), [("speed", "geometry_msgs/Twist"), ("pose", "geometry_msgs/Pose2D")]
+    for offered in itertools.permutations([best, *others]):
+        assert recognised(offered) == best
+
+
 def test_feedback_named_by_the_settings_is_taken_or_its_lack_is_named() -> None:
     offered = [("odom", ODOMETRY_TYPE), ("/v", "geometry_msgs/Twist"), ("text", "std_msgs/String")]
     assert Feedback(offered, FeedbackSettings(topic="v"), DRIVE).topics == (("/v", "geometry_msgs/Twist"),)
@@ -102,6 +145,18 @@ def test_feedback_of_a_heading_in_z_makes_no_pose_when_it_passes_one() -> None:
     assert pose_of(z=1.0) is None
     assert pose_of(w=1.0) == Pose()
     assert pose_of(z=1.0) == Pose(theta_rad=math.pi)
+    assert pose_of(z=0.9) is None
+    feedback.restart()  # the board may have another program now
+    assert pose_of(z=1.0) == Pose(theta_rad=math.pi)
+
+
+def test_feedback_that_the_board_integrates_is_reset_by_the_board_alone() -> None:
+    feedback = Feedback([("p", "geometry_msgs/Pose2D")], RECOGNISED, DRIVE)
+    feedback.reset_pose()
+    reading = feedback.read("p", struct.pack("<3d", 1.5, 0.0, 0.0), now_s=0.0)
+    assert reading is not None
+    assert reading.pose == Pose(1.5)
+    assert feedback.restarts == 0
 
 
 # -- counts -----------------------------------------------------------------------------------------------------------
@@ -369,6 +424,42 @@ def test_damaged_payloads_raise_nothing_but_bad_payload(data: bytes) -> None:
             is_message = False
         with contextlib.suppress(BadPayload) if is_message else pytest.raises(BadPayload):
             feedback.read("t", data, now_s=0.0)  # a message may have too few wheels
+
+
+@pytest.mark.parametrize(
+    ("type_name", "payload", "problem"),
+    [
+        ("std_msgs/Float32", struct.pack("<f", math.nan), "a value that is not finite"),
+        ("std_msgs/Float32", struct.pack("<f", math.inf), "a value that is not finite"),
+        ("std_msgs/Float32MultiArray", struct.pack("<3If", 0, 0, 1, 0.5), "1 values for 2 wheels"),
+        ("std_msgs/Float32MultiArray", struct.pack("<3I2f", 0, 0, 3, 0.5, 0.5), "3 elements need 24"),
+        ("std_msgs/Float32MultiArray", struct.pack("<2I", 65, 0), "65 elements; at most 64 are read"),
+        (JOINT_STATE_TYPE, joints(["a", "b"], [1.0, 1.0], [1.0, 1.0]) + b"x", "the message ends after 74"),
+        (JOINT_STATE_TYPE, joints(["a", "b"], [], [math.nan, 1.0]), "a value that is not finite"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_damaged_wheels_are_named_and_leave_the_pose_as_it_was(type_name: str, payload: bytes, problem: str) -> None:
+    is_scalar = type_name == "std_msgs/Float32"
+    joint_names = ("a", "b") if type_name == JOINT_STATE_TYPE else ()
+    where = {"topics": ("t", "u")} if is_scalar else {"topic": "t", "joints": joint_names}
+    good = {
+        "std_msgs/Float32": struct.pack("<f", 0.2),
+        "std_msgs/Float32MultiArray": struct.pack("<3I3f", 0, 0, 3, 0.2, 0.2, math.nan),  # the third is not a wheel
+        JOINT_STATE_TYPE: joints(["a", "b"], [], [0.2, 0.2]),
+    }[type_name]
+    feedback = Feedback([("t", type_name), ("u", type_name)], encoders(**where, unit="m/s"), DRIVE)
+
+    def read(now_s: float) -> Pose | None:
+        for topic, _ in feedback.topics:
+            reading = feedback.read(topic, good, now_s=now_s)
+        assert reading is not None
+        return reading.pose
+
+    read(0.0)
+    with pytest.raises(BadPayload, match=problem):
+        feedback.read("t", payload, now_s=0.5)
+    assert read(1.0) == pytest.approx(Pose(0.2), abs=1e-6)
 
 
 def test_restarts_at_any_time_move_the_robot_by_no_more_than_a_hand() -> None:

@@ -10,12 +10,14 @@ from hostlink.robot.model import (
     CommandSettings,
     Endpoint,
     RobotTopicNames,
+    Role,
     actuators,
     find_robot,
     is_velocity,
     leaf_of,
     name_of,
     namespace_of,
+    roles,
     select,
     suggestion,
     unguarded,
@@ -57,7 +59,7 @@ def names(endpoints: list[Endpoint]) -> list[str]:
 def test_a_twist_whose_name_tells_of_motion_is_a_command(name: str, type_name: str) -> None:
     robot = found(to(name, type_name))
     assert (robot.velocity, robot.velocity_type, robot.kind) == (name, type_name, CommandKind.TWIST)
-    assert unguarded([to(name, type_name)]) == []
+    assert is_velocity(to(name, type_name))
 
 
 @pytest.mark.parametrize("type_name", [ACKERMANN, ACKERMANN_STAMPED])
@@ -299,15 +301,63 @@ def test_the_command_of_a_robot_is_neither_unguarded_nor_an_actuator() -> None:
     settings = CommandSettings(CommandKind.WHEELS, ("joints",))
     endpoints = [to("joints", JOINT_STATE_TYPE), to("servo", INT16), to("motor", INT16), to("arm_vel")]
     assert names(actuators(endpoints, settings)) == ["servo"]
-    assert names(unguarded(endpoints, settings)) == ["motor"]
+    assert names(unguarded(endpoints, settings, guarded=["joints", "arm_vel"])) == ["motor"]
+
+
+def test_every_topic_has_one_role_of_which_the_command_precedes() -> None:
+    settings = CommandSettings(ignored=frozenset({"motor_debug"}), locked=frozenset({"arm_servo"}))
+    endpoints = [
+        to("cmd_vel"),
+        to("raw_cmd_vel"),
+        to("motor", INT16),
+        to("motor_debug", INT16),
+        to("arm_servo", INT16),
+        to("gripper", INT16),
+        to("led", "std_msgs/ColorRGBA"),
+        sent("odom"),
+        sent("motor", INT16),
+    ]
+    guarded = ["cmd_vel", "raw_cmd_vel"]
+    found = roles(endpoints, settings, commands=["cmd_vel"], guarded=guarded, feedback=["odom"])
+    assert [(each.name, role) for each, role in found] == [
+        ("cmd_vel", Role.COMMAND),
+        ("raw_cmd_vel", Role.VELOCITY),
+        ("motor", Role.UNGUARDED),
+        ("motor_debug", Role.IGNORED),
+        ("arm_servo", Role.LOCKED),
+        ("gripper", Role.ACTUATOR),
+        ("led", Role.DATA),
+        ("odom", Role.FEEDBACK),
+        ("motor", Role.DATA),  # what the board sends under that name commands nothing
+    ]
+
+
+@pytest.mark.parametrize(
+    "topics",
+    [("left_rpm", "right_rpm"), ("M1", "M2"), ("left", "right"), ("front_left", "front_right"), ("fl", "fr"), ("esc",)],
+)
+def test_usual_names_of_motors_look_like_motion(topics: tuple[str, ...]) -> None:
+    assert names(unguarded([to(name, INT16) for name in topics])) == list(topics)
+
+
+@pytest.mark.parametrize("name", ["describe", "leftover", "m10_led", "door"])
+def test_other_names_of_numbers_do_not(name: str) -> None:
+    assert unguarded([to(name, INT16)]) == []
+
+
+def test_a_trigger_that_names_a_direction_is_an_actuator() -> None:
+    topics = [to(name, "std_msgs/Empty") for name in ("forward", "left", "toggle_led")]
+    assert names(actuators(topics)) == ["forward", "left"]
 
 
 def test_the_name_of_a_robot_does_not_tell_what_its_topics_are_for() -> None:
     gains = to("/big_wheel/gains_left", "geometry_msgs/Vector3")
     left = to("/big_wheel/left_motor", INT16)
-    assert names(unguarded([to("/big_wheel/cmd_vel"), gains, left])) == [left.name]
+    drive = to("/big_wheel/cmd_vel")
+    assert names(unguarded([drive, gains, left], guarded=[drive.name])) == [left.name]
     assert names(unguarded([gains, left])) == [gains.name, left.name]  # not of a robot: the namespace tells of motion
-    assert names(unguarded([to("/wheels/cmd_vel"), to("/wheels/left", INT16)])) == ["/wheels/left"]
+    drive = to("/wheels/cmd_vel")
+    assert names(unguarded([drive, to("/wheels/left", INT16)], guarded=[drive.name])) == ["/wheels/left"]
 
 
 # -- suggestions ------------------------------------------------------------------------------------------------------
@@ -336,7 +386,6 @@ def numbers(*topics: str, type_name: str = INT16) -> list[Endpoint]:
             ["motor_traction_left", "motor_traction_right", "control_mode"],
             ["motor_traction_left", "motor_traction_right"],
         ),
-        (["throttle", "steering"], ["throttle"]),
         (["steering"], ["steering"]),
         (["motor1", "motor2"], ["motor1", "motor2"]),
     ],
@@ -373,6 +422,24 @@ def test_suggestion_for_each_type() -> None:
         }
     for type_name in NUMBER_TYPES:
         assert suggested(to("motor", type_name)) == {"wheels": {"topics": ["motor"], "unit": "pwm"}}
+
+
+def test_suggestion_for_a_robot_lets_its_lock_refuse_the_topics_and_keeps_its_command() -> None:
+    text = suggestion([to("motor", INT16), to("target", TWIST)], "a", "10.0.0.1", is_robot=True)
+    assert tomllib.loads(text) == {"robots": {"a": {"locked_topics": ["motor", "target"]}}}
+
+
+def test_suggestion_for_a_car_and_for_a_vector() -> None:
+    car = {"throttle": {"topics": ["esc_speed", "steer_cmd"], "unit": "pwm"}}
+    assert suggested(*numbers("steer_cmd", "esc_speed")) == car
+    assert suggested(*numbers("throttle", "steering")) == {
+        "throttle": {"topics": ["throttle", "steering"], "unit": "pwm"}
+    }
+    assert suggested(*numbers("steer_cmd", "left_motor", "right_motor")) == {
+        "wheels": {"topics": ["left_motor", "right_motor"], "unit": "pwm"}
+    }
+    vector = {"vector": {"topic": "cmd", "fields": ["x", "y", "yaw"]}}
+    assert suggested(to("cmd", "geometry_msgs/Vector3")) == vector
 
 
 def test_suggestion_for_what_cannot_be_encoded_lets_a_lock_refuse_it() -> None:

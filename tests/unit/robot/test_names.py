@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.robot.command_types import TopicType
-from hostlink.robot.model import Endpoint, RobotTopicNames, find_robot
-from hostlink.robot.names import ANSWER_S, SURE_S, Accepted, Directory, Undecided
+from hostlink.robot.model import CommandKind, CommandSettings, Endpoint, RobotTopicNames, find_robot
+from hostlink.robot.names import ANSWER_S, SURE_S, Accepted, Directory, Origin, Places, Undecided
+from hostlink.robot.parts import Membership
 from hostlink.robot.velocity import TWIST_TYPE
 
 TWIST, POSE, ODOMETRY, EMPTY = "geometry_msgs/Twist", "geometry_msgs/Pose2D", "nav_msgs/Odometry", "std_msgs/Empty"
@@ -49,8 +50,12 @@ def plain_robot() -> list[Endpoint]:
 class Clocked:
     """A directory with a clock. Between two claims enough time passes that a silent device counts as disconnected."""
 
-    def __init__(self, addresses: Mapping[str, str | None] | None = None) -> None:
-        self.directory = Directory(addresses or {})
+    def __init__(
+        self,
+        addresses: Mapping[str, str | None] | None = None,
+        settings: Mapping[str, CommandSettings] | None = None,
+    ) -> None:
+        self.directory = Directory(addresses or {}, settings)
         self.now_s = 0.0
 
     def claim(self, link: int, address: str, topics: list[Endpoint], *, port: int = 0) -> Accepted | Undecided:
@@ -593,3 +598,145 @@ def test_a_recording_beside_its_robot_is_not_one_of_several_devices_of_a_name() 
     claim = ours.claim(2, HOME, played())
     assert isinstance(claim, Accepted)
     assert (claim.robot.name, claim.own_name, claim.is_numbered) == ("robot_0_2", "robot_0", False)
+
+
+# -- settings that describe a device ----------------------------------------------------------------------------------
+
+INT16, OTHER = "std_msgs/Int16", "192.168.4.9"
+MOTORS = [to_device("l", INT16), to_device("r", INT16)]
+TWO_MOTORS = CommandSettings(CommandKind.WHEELS, ("l", "r"))
+AT_HOME = Origin("", HOME, f"{HOME}:1")
+
+
+def test_device_is_the_robot_whose_settings_name_its_topics_those_of_its_address_precede() -> None:
+    ours = Clocked({"van": None, "car": HOME}, {"van": TWO_MOTORS, "car": TWO_MOTORS._replace(topics=("r", "l"))})
+    found = [ours.claim(link, address, MOTORS) for link, address in enumerate((HOME, AWAY))]
+    robots = [claim.robot for claim in found if isinstance(claim, Accepted)]
+    assert [(each.name, [topic.name for topic in each.commands]) for each in robots] == [
+        ("car", ["r", "l"]),
+        ("van", ["l", "r"]),
+    ]
+    assert accepted(ours, 3, OTHER, MOTORS[:1]) == (None, None)
+
+
+def test_settings_without_an_address_belong_to_the_device_that_announces_their_name() -> None:
+    topics = [to_device("/rover/cmd_vel"), from_device("/rover/odom", ODOMETRY), from_device("/rover/pose")]
+    settings = CommandSettings(odometry="/rover/pose")
+    ours = Clocked({"rover": None}, {"rover": settings})
+    claim = ours.claim(1, HOME, topics)
+    assert isinstance(claim, Accepted)
+    assert (claim.robot.name, claim.robot.odometry, claim.settings) == ("rover", "/rover/pose", settings)
+    others = Clocked({"rover": None}, {"rover": settings._replace(topics=("/drive",))}).claim(1, HOME, topics)
+    assert isinstance(others, Accepted)
+    assert (others.robot.name, others.robot.odometry) == ("rover", "/rover/odom")  # it is commanded otherwise
+
+
+def test_explanation_names_the_robot_of_the_settings_and_what_the_device_calls_itself() -> None:
+    settings = {"car": TWO_MOTORS, "r": CommandSettings(devices=(OTHER, "arm"))}
+    ours = Directory({"car": None, "home": HOME}, settings)
+
+    def explained(topics: list[Endpoint], address: str) -> tuple[str | None, str | None]:
+        robot, chosen = ours.explain(topics, Origin("", address, f"{address}:1"))
+        return None if robot is None else robot.name, chosen
+
+    assert explained(MOTORS, AWAY) == ("car", "car")
+    assert explained(paper_robot(), HOME) == ("robot_0", "home")
+    assert explained(SENSOR, HOME) == (None, "home")
+    assert explained(paper_robot(), AWAY) == ("robot_0", None)
+    assert explained(SENSOR, OTHER) == (None, "r")
+    assert explained([to_device("/arm/cmd_vel")], AWAY) == ("arm", "r")
+
+
+# -- robots of several devices ----------------------------------------------------------------------------------------
+
+COMMAND, POSE_ALONE = [to_device("cmd_vel")], [from_device("odom", ODOMETRY)]
+SECOND_COMMAND = [*POSE_ALONE, to_device("other/cmd_vel")]
+BOTH = CommandSettings(devices=(HOME, AWAY))
+
+
+def of_two(settings: CommandSettings = BOTH, **others: CommandSettings) -> Clocked:
+    return Clocked({"r": None, **dict.fromkeys(others)}, {"r": settings, **others})
+
+
+def part(ours: Clocked, link: int, address: str, topics: list[Endpoint]) -> tuple[str | None, str | None]:
+    """Name of the robot that the device commands, and that of which it is a part."""
+    claim = ours.claim(link, address, topics)
+    assert isinstance(claim, Accepted)
+    assert claim.replaces is None
+    if claim.member is not None:
+        assert claim.member.place in (address, "arm")
+        assert claim.robot is None or (claim.is_certain and not claim.is_numbered)
+    return None if claim.robot is None else claim.robot.name, None if claim.member is None else claim.member.robot
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_robot_of_several_devices_is_the_one_that_takes_a_velocity_and_the_others_are_its_parts(
+    order: tuple[int, int],
+) -> None:
+    ours = of_two()
+    devices = {1: (HOME, COMMAND), 2: (AWAY, POSE_ALONE)}
+    found = {link: part(ours, link, *devices[link]) for link in order}
+    assert found == {1: ("r", "r"), 2: (None, "r")}
+    assert part(ours, 3, OTHER, plain_robot()) == ("robot_0", None)
+
+
+def test_device_is_a_part_by_the_namespace_of_its_topics() -> None:
+    ours = of_two(CommandSettings(devices=(HOME, "arm")))
+    assert part(ours, 1, OTHER, [to_device("/arm/cmd_vel")]) == ("r", "r")
+    assert part(ours, 2, "10.0.0.7", [from_device("/arm/odom", ODOMETRY)]) == (None, "r")
+    assert ours.directory.member([from_device("/arm/odom")], AT_HOME) == Membership("r", HOME)
+
+
+@pytest.mark.parametrize(("first", "second"), [(HOME, AWAY), (AWAY, HOME)])
+def test_second_device_that_takes_a_velocity_gets_the_name_of_its_robot_only_once(first: str, second: str) -> None:
+    """Two programs would each drive one half of it."""
+    ours = of_two()
+    assert part(ours, 1, first, COMMAND) == ("r", "r")
+    assert part(ours, 2, second, SECOND_COMMAND) == (None, "r")
+    assert part(ours, 1, first, COMMAND) == ("r", "r")  # it announces its topics again
+    ours.leave(1)
+    assert part(ours, 2, second, SECOND_COMMAND) == ("r", "r")
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_new_settings_choose_the_device_that_commands_and_leave_other_robots_as_they_are(
+    order: tuple[int, int],
+) -> None:
+    other = CommandSettings(devices=(OTHER, "arm"))
+    ours = of_two(s=other)
+    devices = {1: (HOME, COMMAND), 2: (AWAY, SECOND_COMMAND)}
+    assert part(ours, 2, *devices[2]) == ("r", "r")
+    assert part(ours, 1, *devices[1]) == (None, "r")
+    assert part(ours, 3, OTHER, COMMAND) == ("s", "s")
+    chosen = {"r": BOTH._replace(command_device=HOME), "s": other}
+    places = Places({"r": None, "s": None}, {name: each.devices for name, each in chosen.items()})
+    assert ours.directory.reconfigure(places, chosen) == {}
+    assert part(ours, 4, "10.0.0.7", [to_device("/arm/cmd_vel")]) == (None, "s")  # the other device still commands it
+    assert {link: part(ours, link, *devices[link]) for link in order} == {1: ("r", "r"), 2: (None, "r")}
+
+
+def test_name_of_a_robot_of_several_devices_is_reserved_without_them() -> None:
+    assert part(of_two(), 1, OTHER, [to_device("/r/cmd_vel")]) == ("r_2", None)
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_two_robots_that_the_settings_make_one_are_one_in_any_order(order: tuple[int, int]) -> None:
+    ours = Clocked()
+    devices = {1: (HOME, [to_device("/r/cmd_vel")]), 2: (AWAY, [to_device("/other/cmd_vel")])}
+    assert [part(ours, link, *devices[link]) for link in (1, 2)] == [("r", None), ("other", None)]
+    ours.directory.reconfigure(Places({"r": None}, {"r": BOTH.devices}), {"r": BOTH})
+    assert {link: part(ours, link, *devices[link]) for link in order} == {1: ("r", "r"), 2: (None, "r")}
+
+
+def test_device_that_the_settings_make_a_part_of_a_robot_gives_up_its_own_name() -> None:
+    ours = Clocked()
+    assert part(ours, 1, HOME, COMMAND) == ("robot_0", None)
+    places = Places({"r": None}, {"r": BOTH.devices})
+    assert ours.directory.reconfigure(places, {"r": BOTH}) == {"robot_0": 1}
+    assert part(ours, 1, HOME, COMMAND) == ("r", "r")
+    assert ours.directory.reconfigure(Places({}), {}) == {}
+    assert part(ours, 1, HOME, COMMAND) == ("r", None)  # programs know it by that name, and it is free
+
+
+def test_played_recording_is_a_part_of_no_robot() -> None:
+    assert part(of_two(CommandSettings(devices=(HOME, "robot_0"))), 1, HOME, played()) == ("robot_0", None)

@@ -10,6 +10,7 @@ from hostlink.robot.parts import parts_of, place_in
 MOTORS, WHEELS = "10.0.0.2", "/dev/ttyUSB0"
 COMMAND = Endpoint("cmd_vel", "geometry_msgs/Twist", is_to_device=True)
 POSE = Endpoint("odom", "nav_msgs/Odometry", is_to_device=False)
+SPEED = Endpoint("speed", "geometry_msgs/Twist", is_to_device=False)
 RANGE = Endpoint("range", "sensor_msgs/Range", is_to_device=False)
 BOTH = CommandSettings(devices=(MOTORS, WHEELS))
 
@@ -23,6 +24,22 @@ def test_command_is_one_devices_and_odometry_is_the_others() -> None:
 def test_odometry_of_the_other_device_precedes_the_commands_own() -> None:
     parts = parts_of("r", BOTH, {MOTORS: [COMMAND, POSE], WHEELS: [POSE]})
     assert parts.place_of(("odom", "nav_msgs/Odometry")) == WHEELS
+
+
+@pytest.mark.parametrize(
+    ("of_motors", "of_wheels", "topic"),
+    [
+        ([POSE], [SPEED], "speed"),
+        ([POSE], [RANGE], "odom"),
+        ([POSE], [], "odom"),
+        ([], [RANGE, POSE, SPEED], "odom"),
+        ([RANGE], [RANGE], None),
+    ],
+)
+def test_topic_of_the_motion_is_the_best_of_the_other_devices_before_the_commands_own(
+    of_motors: list[Endpoint], of_wheels: list[Endpoint], topic: str | None
+) -> None:
+    assert parts_of("r", BOTH, {MOTORS: [COMMAND, *of_motors], WHEELS: of_wheels}).odometry() == topic
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def test_the_name_of_a_robot_that_is_away_is_free_too() -> None:
     name = claim(directory, 0)
     directory.leave(0)
     assert directory.misplaced(Places({"rover": PLACES[0]})) == {name: None}
-    directory.reconfigure(Places({"rover": PLACES[0]}))
+    directory.reconfigure(Places({"rover": PLACES[0]}), {})
     assert claim(directory, 0) == "rover"
 
 
@@ -50,7 +50,7 @@ def test_every_robot_has_the_name_that_the_new_configuration_gives_to_its_place(
     directory = Directory(before)
     old = {link: claim(directory, link) for link in range(count)}
     misplaced = directory.misplaced(Places(after))
-    directory.reconfigure(Places(after))
+    directory.reconfigure(Places(after), {})
     new = {link: claim(directory, link) for link in range(count)}
     at = {place: name for name, place in after.items()}
     for link, name in new.items():
@@ -68,7 +68,7 @@ def test_the_same_configuration_again_changes_nothing(addresses: dict[str, str])
     directory = Directory(addresses)
     names = {link: claim(directory, link) for link in range(len(PLACES))}
     assert directory.misplaced(Places(addresses)) == {}
-    directory.reconfigure(Places(addresses))
+    directory.reconfigure(Places(addresses), {})
     assert {link: claim(directory, link) for link in range(len(PLACES))} == names
 
 

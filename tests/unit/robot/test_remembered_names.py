@@ -26,7 +26,8 @@ class Daemon:
         self._link = 0
 
     def restart(self) -> None:
-        self.directory = Directory(self.addresses, remembered=dict(self.directory.remembered))
+        before, self.directory = self.directory, Directory(self.addresses)
+        self.directory.remember(before.remembered)
         self.names.clear()
 
     def connect(self, address: str, topics: list[Endpoint], peer: str = "") -> str:
@@ -125,6 +126,18 @@ def test_forgotten_name_of_one_that_announces_it_is_free_for_others_that_announc
     assert daemon.connect(THIRD, board("/robot_0")) == "robot_0"
 
 
+def test_forgotten_number_of_two_that_announce_one_name_is_free() -> None:
+    daemon = Daemon()
+    assert daemon.connect(HERE, board("/robot_0")) == "robot_0"
+    assert daemon.connect(THERE, board("/robot_0")) == "robot_0_2"
+    daemon.directory.forget("robot_0_2")
+    assert daemon.connect(THIRD, board("/robot_0")) == "robot_0_3"  # the second one is still there
+    daemon.directory.leave(2)
+    daemon.directory.forget("robot_0_2")
+    assert daemon.directory.remembered.keys() == {"robot_0", "robot_0_3"}
+    assert daemon.connect("10.0.0.9", board("/robot_0")) == "robot_0_2"
+
+
 def test_forgotten_unnamed_robot_has_its_name_when_it_is_back() -> None:
     daemon = Daemon()
     daemon.connect(HERE, board())
@@ -136,7 +149,8 @@ def test_forgotten_unnamed_robot_has_its_name_when_it_is_back() -> None:
 
 def test_remembered_names_are_bounded_and_recordings_are_not_remembered() -> None:
     many = {f"robot_{number}": Remembered("robot_0", f"10.0.0.{number}", True) for number in range(MAX_REMEMBERED + 9)}
-    directory = Directory({}, remembered={**many, "../../etc": Remembered("robot_0", HERE, True)})
+    directory = Directory({})
+    directory.remember({**many, "../../etc": Remembered("robot_0", HERE, True)})
     assert len(directory.remembered) == MAX_REMEMBERED
     assert "robot_0" not in directory.remembered
     assert PLAYED not in {each.address for each in directory.remembered.values()}

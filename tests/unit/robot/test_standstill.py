@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.robot.standstill import (
+    NO_ODOMETRY,
     PATIENCE_S,
     STEADY_S,
     DriveWatch,
@@ -16,6 +17,7 @@ from hostlink.robot.standstill import (
 )
 
 STILL, MOVING = Speeds(0.0, 0.001), Speeds(0.15, 0.3)
+AT_REST_BY_COUNTS, MOVING_BY_COUNTS = Speeds(is_moving=False), Speeds(is_moving=True)
 AT_REST, MOVES, UNKNOWN = StandstillState.STOPPED, StandstillState.MOVING, StandstillState.UNKNOWN
 
 
@@ -36,6 +38,15 @@ def test_a_robot_stands_since_the_first_of_the_poses_that_stand_still() -> None:
 def test_a_robot_that_moves_has_its_newest_speed_and_the_reason() -> None:
     measured = after((10.1, STILL), (10.2, STILL), (10.3, MOVING))
     assert measured == Standstill(MOVES, 0.15, 0.3, None, "driven by client 3")
+
+
+def test_counts_that_tell_no_speed_tell_whether_the_robot_stands() -> None:
+    measured = after((10.1, MOVING_BY_COUNTS), (10.2, AT_REST_BY_COUNTS), (10.3, AT_REST_BY_COUNTS))
+    assert (measured.state, measured.speed_m_s, measured.after_s) == (AT_REST, None, pytest.approx(0.2))
+    measured = after((10.1, AT_REST_BY_COUNTS), (10.2, AT_REST_BY_COUNTS), (10.3, MOVING_BY_COUNTS))
+    assert measured == Standstill(MOVES, reason="driven by client 3")
+    assert "its odometry does not change" in warning_after(PATIENCE_S, AT_REST_BY_COUNTS)
+    assert warning_after(PATIENCE_S, MOVING_BY_COUNTS) == ""
 
 
 @pytest.mark.parametrize("poses", [(), ((9.9, STILL), (10.0, STILL)), ((9.9, MOVING),)])
@@ -69,6 +80,10 @@ def test_no_robot_is_said_to_stand_whose_newest_pose_since_the_stop_moves(poses:
         (Standstill(MOVES, 0.001, -0.3, reason="driven by demo"), "robot_0 still turns at 0.30 rad/s: driven by demo"),
         (Standstill(UNKNOWN, reason="it sends no odometry"),
          "robot_0: it is not known whether it is stopped: it sends no odometry"),
+        (Standstill(UNKNOWN, reason=NO_ODOMETRY),
+         "zero sent; robot_0 has no odometry, so nobody can say that it is stopped"),
+        (Standstill(AT_REST, after_s=0.42), "robot_0 is stopped (after 0.4 s)"),
+        (Standstill(MOVES, reason="driven by demo"), "robot_0 still moves: driven by demo"),
     ],
 )  # fmt: skip
 def test_the_sentence_has_the_numbers_that_were_measured(measured: Standstill, text: str) -> None:

@@ -97,6 +97,18 @@ def test_robot_drives_as_commanded_and_reports_it(kinematics: str) -> None:
     assert bench.robot.pose.x_m == pytest.approx(x_m)
 
 
+def test_poses_have_variances_which_a_filter_can_divide_by() -> None:
+    bench = Bench("mecanum")
+    bench.run(0.2)
+    odometry = Catalog().message("nav_msgs/Odometry")
+    assert odometry is not None
+    message = odometry.decode(bench.payloads(ODOMETRY_ID)[-1])
+    for part in ("pose", "twist"):
+        covariance = message[part]["covariance"]
+        assert min(covariance[::7]) > 0
+        assert sum(map(bool, covariance)) == 6
+
+
 @pytest.mark.parametrize("kinematics", DRIVES)
 def test_no_wheel_is_faster_than_it_can_and_the_curve_stays(kinematics: str) -> None:
     bench = Bench(kinematics)

@@ -24,7 +24,7 @@ export function driverText(owner: string, address: string | null | undefined): s
   const [, peer] = /^rest (.+)$/.exec(owner) ?? [];
   if (peer !== undefined) return `a REST request from ${peer}`;
   const program = programs.get(owner);
-  if (!program) return named(owner, address);
+  if (!program || owner.includes(`(${program})`)) return named(owner, address); // a page is named after its browser
   return `${program === "Edg" ? "Edge" : program} (${[owner, address].filter(Boolean).join(", ")})`;
 }
 

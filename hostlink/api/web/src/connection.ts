@@ -34,7 +34,9 @@ export interface DriveAnswer {
   result: boolean;
   kind?: string; // of a refusal: docs/robot.md
   reason?: string;
+  by?: string | null; // who refuses it, or what disarmed this page: "a stop by teleop"
   epoch?: number;
+  client?: string; // name of this connection, of an accepted command
   is_limited?: boolean;
 }
 
@@ -97,9 +99,13 @@ export class Connection {
     addEventListener("offline", () => this.drop());
   }
 
-  /** Reconnect at once: the token is new, or the network is back. */
+  /** Reconnect at once: the network is back. */
   retryNow(): void {
-    if (this.state === "open") return;
+    if (this.state !== "open") this.beginAnew();
+  }
+
+  /** Reconnect at once with a new token: a connection has the rights of the token with which it was opened. */
+  beginAnew(): void {
     this.drop();
     this.failures = 0;
     this.attemptAt = 0;

@@ -3,7 +3,7 @@
 import { driverText } from "./clients";
 import type { Connection, DriveAnswer } from "./connection";
 import { ageText, digits, find, remember, remembered, setText } from "./dom";
-import { type Deflection, Driving, type Source, STANDING, TICK_MS } from "./driving";
+import { type Deflection, Driving, isZero, type Source, STANDING, TICK_MS } from "./driving";
 import type { Fleet } from "./fleet";
 import { connectGamepad } from "./gamepad";
 import { connectJoystick, isStickShown } from "./joystick";
@@ -14,23 +14,23 @@ const TELEOP_PRIORITY = 60; // above the 50 of programs
 const UNANSWERED_MS = 250; // without an answer for this time nothing more is sent: commands would arrive late
 const REFUSED_MS = 1500; // an older refusal is not shown
 const AFTERGLOW_MS = 900; // the daemon may still name this page as the driver
-
 const LEASE_MS = 500;
 const SEEN: Source[] = ["joystick", "keys", "gamepad"]; // they drive where the stick is visible
-const HELD = "held"; // kind of a refusal: another source drives with a higher priority or the same one
+// kinds of refusals: another source drives with a higher priority or the same one; the robot was stopped meanwhile
+const [HELD, DISARMED] = ["held", "disarmed"];
 
 export class Drive {
   readonly driving = new Driving((velocity) => this.send(velocity));
 
   private target: RobotView | undefined; // of the commands; changes only while nothing is held
-  private motion = 0; // number of the motion; it increases when controls are first held and when all are released
+  private motion = 0; // of the newest command: `Driving.motion`
   private epoch: number | null = null; // of the robot, from the first answer of this motion
-  private unanswered: { at: number; motion: number; takesOver: boolean }[] = []; // commands without an answer
+  private unanswered: { at: number; motion: number; takesOver: boolean; isZero: boolean }[] = []; // without an answer
+  private name: string | null = null; // of this page's connection at the daemon, from the newest answer
   private takesOver = false; // the next commands take the robot over, until one is accepted
-  private refusal = "";
+  private refusal: DriveAnswer = { result: false };
   private refusedAt = Number.NEGATIVE_INFINITY;
-  private droveAt = Number.NEGATIVE_INFINITY;
-  private wasHeld = false; // at the previous command, sent or not
+  private droveAt = Number.NEGATIVE_INFINITY; // the newest answer by which this page moved the robot
   private showCommand: (command: Deflection) => void = () => {}; // on the stick
   private readonly pause = new Pause();
 
@@ -57,24 +57,29 @@ export class Drive {
   /** The driver of this robot as a text; null without one. */
   driver(robot: RobotView): string | null {
     if (robot.holder === null) return null;
-    const isMine = robot.name === this.target?.name && performance.now() - this.droveAt < AFTERGLOW_MS;
-    return isMine && !this.isRefused ? "you" : driverText(robot.holder, robot.holder_address);
+    const isLate = performance.now() - this.droveAt >= AFTERGLOW_MS; // a client of another daemon may have the same name
+    const isMine = robot.name === this.target?.name && robot.holder === this.name && !isLate;
+    return isMine ? "you" : driverText(robot.holder, robot.holder_address);
   }
 
   /**
-   * Keep the stick active while another source drives; after other refusals it must be released first.
+   * Keep the stick active while another source drives; after other refusals it must be released first. A refused zero
+   * is not shown: another source drives, and the user wants nothing.
    * The refusal of a command of an earlier motion does not end this motion: its own commands are answered too.
    */
   answered(answer: DriveAnswer): void {
     const command = this.unanswered.shift();
     if (answer.result) {
+      this.name = answer.client ?? null;
+      if (command?.isZero === false) this.droveAt = performance.now();
       if (command?.takesOver) this.takesOver = false;
       if (command?.motion === this.motion) this.epoch ??= answer.epoch ?? null;
       return;
     }
     const isEarlier = command !== undefined && command.motion !== this.motion;
     if (answer.kind !== HELD && !isEarlier) this.driving.releaseAll();
-    this.refusal = answer.reason ?? "";
+    if (answer.kind === HELD && command?.isZero) return;
+    this.refusal = answer;
     this.refusedAt = performance.now();
     this.show();
   }
@@ -90,6 +95,7 @@ export class Drive {
     const { robot } = this.fleet;
     if (robot?.name !== this.target?.name || robot?.velocity_topic !== this.target?.velocity_topic) {
       this.driving.releaseAll(); // the zeros are sent to the robot that was driven
+      this.takesOver = false;
     }
     this.target = robot;
     const isSideways = robot !== undefined && hasSideways(robot);
@@ -141,14 +147,15 @@ export class Drive {
     }
     if (robot.locked) return ["locked", `${robot.name} is locked`];
     if (robot.played) return ["other", "A recording: it cannot be driven"];
-    if (this.isRefused) return ["refused", this.refusal];
+    if (this.isRefused && !(this.refusal.kind === HELD && robot.holder !== null))
+      return ["refused", refusalText(this.refusal, robot.name)];
     if (robot.unreachable) return ["refused", `${robot.name} cannot receive: ${robot.unreachable}`];
     if (this.driving.isImpossible) return ["other", "Cannot turn in place: go forward, too"];
     const driver = this.driver(robot);
     if (driver === "you") return ["driving", "You drive"];
     if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `${driver} drives with a higher priority`];
-    if (this.takesOver) return ["other", `${driver} drives: hold the stick to take over`];
-    if (this.isHeldByEqual(robot)) return ["other", `${driver} drives until it lets go`];
+    if (this.takesOver) return ["other", `Hold the stick to take over from ${driver}`];
+    if (this.isHeldByEqual(robot)) return ["other", `Driven by ${driver} until it lets go`];
     if (driver !== null) return ["other", `${driver} drives: your stick takes over`];
     return ["idle", "Ready: no driver"];
   }
@@ -170,16 +177,16 @@ export class Drive {
     });
   }
 
-  private send(velocity: Velocity): void {
+  /** Send a velocity, or drop it and return false. A zero waits for no answer, and needs no right to drive. */
+  private send(velocity: Velocity): boolean {
     const now = performance.now();
-    const { isHeld } = this.driving;
-    if (isHeld !== this.wasHeld) {
-      this.wasHeld = isHeld;
-      this.motion += 1;
-      this.epoch = null;
-    }
-    if (!this.target?.connected || !this.canDrive()) return;
-    if (isHeld && now - (this.unanswered[0]?.at ?? now) > UNANSWERED_MS) return;
+    const isMoving = !isZero(velocity);
+    const { motion } = this.driving;
+    if (motion !== this.motion) this.epoch = null;
+    this.motion = motion;
+    if (!this.target?.connected) return false;
+    if (isMoving && (!this.canDrive() || now - (this.unanswered[0]?.at ?? now) > UNANSWERED_MS)) return false;
+    const takesOver = this.takesOver && isMoving;
     const isSent = this.connection.drive({
       robot: this.target.name,
       linear: velocity.linear_m_s,
@@ -187,12 +194,11 @@ export class Drive {
       angular: velocity.angular_rad_s,
       priority: TELEOP_PRIORITY,
       epoch: this.epoch,
-      take_over: this.takesOver && isHeld,
+      take_over: takesOver,
       sent_s: now / 1000,
     });
-    if (!isSent) return;
-    this.droveAt = now;
-    this.unanswered.push({ at: now, motion: this.motion, takesOver: this.takesOver && isHeld });
+    if (isSent) this.unanswered.push({ at: now, motion, takesOver, isZero: !isMoving });
+    return isSent;
   }
 
   /** Apply a new top speed. It changes the velocity of held controls and moves nothing by itself. */
@@ -209,6 +215,11 @@ export class Drive {
     });
     apply();
   }
+}
+
+/** The daemon tells programs to send a zero. */
+function refusalText({ kind, by, reason }: DriveAnswer, robot: string): string {
+  return kind === DISARMED && by ? `${robot}: ${by}. Release the stick, then hold it again` : (reason ?? "");
 }
 
 /** Whether the page was paused for longer than a command lasts, by its clock or by the time of day. */

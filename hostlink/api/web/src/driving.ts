@@ -31,9 +31,15 @@ export class Driving {
   private held = new Map<Source, Deflection>();
   private barred = new Set<Source>(); // must be released before it drives again
   private zeros = 0;
+  private motions = 0;
 
-  /** `send` sends a velocity now, or drops it. */
-  constructor(private readonly send: (velocity: Velocity) => void) {}
+  /** `send` sends a velocity now, or drops it and returns false. */
+  constructor(private readonly send: (velocity: Velocity) => boolean) {}
+
+  /** Number of the motion: it increases when controls are first held, and when all are released. */
+  get motion(): number {
+    return this.motions;
+  }
 
   get isHeld(): boolean {
     return this.held.size > 0;
@@ -46,6 +52,7 @@ export class Driving {
   hold(source: Source, deflection: Deflection): void {
     if (this.barred.has(source)) return;
     const isNew = !this.held.has(source);
+    if (!this.isHeld) this.motions += 1;
     this.held.set(source, deflection);
     if (isNew) this.tick();
   }
@@ -53,6 +60,7 @@ export class Driving {
   release(source: Source): void {
     this.barred.delete(source);
     if (!this.held.delete(source)) return;
+    if (!this.isHeld) this.motions += 1;
     this.tick();
   }
 
@@ -66,6 +74,7 @@ export class Driving {
 
   /** Treat all controls as released, those that are held until they are. */
   releaseAll(): void {
+    if (this.isHeld) this.motions += 1;
     for (const source of this.held.keys()) this.barred.add(source);
     this.held.clear();
     while (this.zeros > 0) this.tick(); // there may be no later tick
@@ -89,11 +98,10 @@ export class Driving {
     };
   }
 
-  /** Send what is held; after that, zeros. */
+  /** Send what is held; after what was sent, zeros. */
   tick(): void {
     if (this.isHeld && !this.isImpossible) {
-      this.zeros = ZEROS;
-      this.send(this.velocity());
+      if (this.send(this.velocity())) this.zeros = ZEROS;
     } else if (this.zeros > 0) {
       this.zeros -= 1;
       this.send(STANDING);
@@ -105,6 +113,11 @@ export class Driving {
     const sum = (part: keyof Deflection) => clamp(held.reduce((total, each) => total + (each[part] ?? 0), 0));
     return { forward: sum("forward"), turn: sum("turn"), left: this.hasSideways ? sum("left") : 0 };
   }
+}
+
+/** Whether a velocity moves nothing. */
+export function isZero({ linear_m_s, linear_y_m_s, angular_rad_s }: Velocity): boolean {
+  return linear_m_s === 0 && (linear_y_m_s ?? 0) === 0 && angular_rad_s === 0;
 }
 
 function clamp(part: number): number {

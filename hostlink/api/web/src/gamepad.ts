@@ -1,7 +1,7 @@
 /**
  * A gamepad drives with its left stick while a shoulder button is held, where the page's stick is visible. Its right
- * stick moves the robot sideways. Losing the
- * gamepad releases the stick.
+ * stick moves the robot sideways. Losing the gamepad releases the stick. A button that was held without the focus, or
+ * while the stick was not visible, must be released first.
  */
 
 import { setText } from "./dom";
@@ -27,12 +27,12 @@ export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => 
     const isHere = document.hasFocus(); // browsers report it to every window, and each would drive
     // other devices may be listed as gamepads: the one whose shoulder button is held drives
     const pad = pads.find(isEnabledBy) ?? pads[0] ?? null;
-    const isEnabled = isHere && isEnabledBy(pad);
-    if (pad !== null && isEnabled && isStickShown()) {
+    const isEnabled = isEnabledBy(pad);
+    if (pad !== null && isEnabled && isHere && isStickShown()) {
       const [turn = 0, forward = 0, left = 0] = pad.axes.map((axis) => bend(-axis));
       driving.hold("gamepad", { forward, turn, left: pad.mapping === "standard" ? left : 0 }); // else a trigger
     } else if (isEnabled) {
-      if (driving.bar("gamepad")) notice("done", HIDDEN, HIDDEN_MS);
+      if (driving.bar("gamepad") && isHere) notice("done", HIDDEN, HIDDEN_MS);
     } else {
       driving.release("gamepad");
     }

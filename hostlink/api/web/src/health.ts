@@ -106,7 +106,9 @@ export class Health {
   private diagnose(links: LinkView[]): void {
     const list = find("#link .diagnosis");
     const lines = links.flatMap((link) =>
-      (link.diagnosis ?? []).map(({ cause, next_step }) => `${link.peer}: ${cause} ${next_step}`),
+      (link.diagnosis ?? []).map(
+        ({ cause, next_step }) => `${link.peer}: ${cause}${cause.endsWith(".") ? "" : ":"} ${next_step}`,
+      ),
     );
     if (lines.join("\n") === list.dataset.shown) return;
     list.dataset.shown = lines.join("\n");

@@ -126,7 +126,7 @@ const errors = new Followed<{ data: number[] }>(
 const log = new DeviceLog(timeline);
 const history = new History(map, plots, log);
 const access = new Access(() => {
-  connection.retryNow();
+  connection.beginAnew();
   events.beginAnew();
 });
 

@@ -35,7 +35,7 @@ export class Odometry {
   show(canDrive: boolean): void {
     const { robot } = this.fleet;
     const state = robot ? this.fleet.state(robot) : "connected";
-    this.button.disabled = !robot?.connected || !canDrive;
+    this.button.disabled = !robot?.connected || !canDrive || robot.feedback === "none";
     const isStale = state === "silent" || state === "unknown";
     find("#pose").classList.toggle("stale", isStale);
     find("#pose").classList.toggle("gone", state === "gone");

@@ -234,10 +234,9 @@ function isStrip(): boolean {
   return document.body.dataset.robots === "strip";
 }
 
-/** By what it is commanded if that is not a Twist, and whether its motion cannot be measured. */
-function describeAbilities({ command_type: type, feedback }: RobotView): string {
-  const command = !type || type === TWIST ? "" : ` · commanded by ${type.split("/").at(-1)}`;
-  return command + (feedback === "none" ? " · cannot be measured" : "");
+/** By what it is commanded, if that is not a Twist. */
+function describeAbilities({ command_type: type }: RobotView): string {
+  return !type || type === TWIST ? "" : ` · commanded by ${type.split("/").at(-1)}`;
 }
 
 /** What the daemon finds wrong with a connected robot's device, in short; empty if nothing. */

@@ -215,6 +215,7 @@ interface CommandEndpointView {
   topic: string;
   is_zero_sent: boolean;
   reason: string; // why it was not sent a zero
+  host: string | null; // daemon of the fleet that has the board; null: this one
 }
 
 interface StopRequest {
@@ -258,9 +259,10 @@ function allStopped(names: string[]): string {
 }
 
 /** What became of a topic that is not a robot's. */
-function ofBoard({ peer, topic, is_zero_sent, reason }: CommandEndpointView): string {
-  if (!is_zero_sent) return `${topic} of ${peer} was not sent a zero: ${reason}.`;
-  return `${topic} of ${peer}: zero sent; it is not a robot's, so nobody can say that it is stopped.`;
+function ofBoard({ peer, topic, is_zero_sent, reason, host }: CommandEndpointView): string {
+  const place = host === null ? `${topic} of ${peer}` : `${topic} of ${peer} at ${host}`;
+  if (!is_zero_sent) return `${place} was not sent a zero: ${reason}.`;
+  return `${place}: zero sent; it is not a robot's, so nobody can say that it is stopped.`;
 }
 
 /** `2 of 3 robots are stopped. robot_1 moves at 0.10 m/s, driven by client 3.` */

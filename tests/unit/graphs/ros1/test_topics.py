@@ -159,6 +159,25 @@ def test_new_publisher_drives_and_only_its_newest_velocity_counts() -> None:
     play(test)
 
 
+def test_velocities_that_come_together_after_a_stop_and_a_gap_of_the_network_move_no_robot() -> None:
+    async def test(scene: Scene) -> None:
+        driver = Driver(scene, is_new=True)
+        driver.begin()
+        driver.drive(0.1)
+        await asyncio.sleep(0.1)
+        scene.hub.robots.find(ROBOT).stop()
+        await asyncio.sleep(0.6)
+        driver.connection.wire._reader.came_s = asyncio.get_running_loop().time()
+        driver.drive(0.1, 0.2, 0.3)
+        await asyncio.sleep(0.05)
+        assert scene.speeds()[-1] == 0.0
+        assert driver.node.counts.superseded_velocities == 1
+        assert driver.node.counts.refused_messages == 1
+        driver.connection.wire.close()
+
+    play(test)
+
+
 @pytest.mark.parametrize("newest", [PlanarVelocity(math.nan).encode(), b"short"], ids=["not finite", "malformed"])
 def test_zero_before_a_newer_velocity_is_obeyed_although_that_one_is_refused(newest: bytes) -> None:
     async def test(scene: Scene) -> None:

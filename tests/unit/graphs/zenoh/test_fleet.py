@@ -2,7 +2,10 @@
 
 import asyncio
 import contextlib
+import functools
 import json
+import math
+import re
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, cast
@@ -31,11 +34,22 @@ from hostlink.graphs.zenoh.roster import SILENT_S, FleetRoster
 from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import AnyRobot, LocalRobot
+from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.background import meanwhile
-from tests.support.fake_device import CATALOG
+from tests.support.fake_device import CATALOG, topic
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
-from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, POSE, ROBOT, Scene, ScriptedDevice, play, robot_topics
+from tests.support.participants import (
+    NEIGHBOUR,
+    ODOMETRY_ID,
+    POSE,
+    ROBOT,
+    Scene,
+    ScriptedDevice,
+    play,
+    publish,
+    robot_topics,
+)
 from tests.support.virtual_loop import inside
 
 DRIVE = PlanarVelocity(0.2)
@@ -635,6 +649,111 @@ async def test_stop_of_a_daemon_that_is_silent_is_an_error(world: World) -> None
         await world.desk.gates.settled()
 
 
+LEFT_MOTOR, SPEECH = 110, 111  # ids of the topics of a board that is not a robot
+NUMBER = b"\x32\x00"
+
+
+@contextlib.asynccontextmanager
+async def board_at_lab(world: World) -> AsyncIterator[ScriptedDevice]:
+    """A board that no rule recognises, with a motor that runs and a topic without a zero; unlocked at the end."""
+    infos = [
+        topic(Id.SUBSCRIBER, LEFT_MOTOR, "/left_motor", "std_msgs/Int16"),
+        topic(Id.SUBSCRIBER, SPEECH, "/motor_command", "std_msgs/String"),
+    ]
+    device = ScriptedDevice(world.scene.hub, infos, address="10.0.0.9")
+    await asyncio.sleep(0.5)
+    publish(world.scene.hub, "/left_motor", NUMBER, type_name="std_msgs/Int16")
+    await asyncio.sleep(0.5)
+    assert device.payloads(LEFT_MOTOR) == [NUMBER]
+    yield device
+    world.scene.hub.robots.unlock_all()
+    await device.aclose()
+    await asyncio.sleep(0.5)
+
+
+@pytest.mark.parametrize("verb", ["stop", "lock"])
+def test_stop_and_lock_of_all_cover_the_boards_of_another_daemon_and_name_them(verb: str) -> None:
+    async def test(world: World) -> None:
+        async with board_at_lab(world) as device:
+            robots, is_locked = world.desk.robots, verb == "lock"
+            assert (robots.lock_all("a foot") if is_locked else robots.stop_all()) == []  # none is here
+            found = {each.topic: each for each in await world.desk.gates.settled()}
+            assert device.payloads(LEFT_MOTOR) == [NUMBER, bytes(2)]
+            assert {each.host for each in found.values()} == {"lab"}
+            assert {name: (each.is_locked, each.reason) for name, each in found.items()} == {
+                "/left_motor": (is_locked, ""),
+                "/motor_command": (is_locked, "std_msgs/String has no value that surely means stop"),
+            }
+
+    with_fleet(test)
+
+
+@inside(with_fleet)
+async def test_lock_of_all_holds_at_another_daemon_until_the_unlock_of_all(world: World) -> None:
+    lab = world.scene.hub
+    async with board_at_lab(world) as device:
+        world.desk.robots.lock_all("a foot")
+        await world.desk.gates.settled()
+        with pytest.raises(CommandRefused, match=re.escape("/left_motor: locked: a foot (desk)")):
+            publish(lab, "/left_motor", NUMBER, type_name="std_msgs/Int16")
+        assert lab.robots.find(ROBOT).gate.lock_reason == "a foot (desk)"
+        world.desk.robots.unlock_all()
+        await world.desk.gates.settled()
+        assert lab.robots.find(ROBOT).gate.lock_reason is None
+        publish(lab, "/left_motor", NUMBER, type_name="std_msgs/Int16")
+        await asyncio.sleep(0.5)
+        assert device.payloads(LEFT_MOTOR)[-1] == NUMBER
+        lab.robots.lock_all("a cable")  # what was locked there is unlocked from the desk, too
+        await asyncio.sleep(1.5)
+        world.desk.robots.unlock_all()
+        await world.desk.gates.settled()
+        assert lab.robots.boards.lock_reason is None
+        assert lab.robots.find(ROBOT).gate.lock_reason is None
+
+
+@pytest.mark.slow
+@inside(with_fleet)
+async def test_lock_of_all_is_in_force_at_a_host_out_of_sight_when_it_is_seen_again(world: World) -> None:
+    async with board_at_lab(world) as device:
+        cut = Cut(world)
+        cut.cut()
+        await asyncio.sleep(2.0)
+        world.desk.robots.lock_all("a foot")
+        with pytest.raises(DeviceGone, match="lab: has not answered the lock"):
+            await world.desk.gates.settled()
+        assert device.payloads(LEFT_MOTOR) == [NUMBER]
+        cut.heal()
+        await asyncio.sleep(1.5)
+        assert world.scene.hub.robots.boards.lock_reason == "a foot (desk)"
+        assert set(device.payloads(LEFT_MOTOR)[1:]) == {bytes(2)}
+
+
+@inside(with_fleet)
+async def test_unlock_of_all_withdraws_a_lock_that_a_host_out_of_sight_has_not_heard(world: World) -> None:
+    cut = Cut(world)
+    cut.cut()
+    await asyncio.sleep(2.0)
+    world.desk.robots.lock_all("a foot")
+    with contextlib.suppress(DeviceGone):
+        world.desk.robots.unlock_all()
+    cut.heal()
+    await asyncio.sleep(2.0)
+    assert world.scene.hub.robots.boards.lock_reason is None
+
+
+def test_daemon_that_may_not_drive_locks_every_board_and_unlocks_none() -> None:
+    async def test(world: World) -> None:
+        async with board_at_lab(world):
+            world.desk.robots.lock_all("a foot")
+            await world.desk.gates.settled()
+            world.desk.robots.unlock_all()
+            with pytest.raises(DeviceGone, match="may only read"):
+                await world.desk.gates.settled()
+            assert world.scene.hub.robots.boards.lock_reason == "a foot (desk)"
+
+    with_fleet(test, drivers=("nobody",))
+
+
 @inside(with_fleet)
 async def test_order_of_an_earlier_caller_is_not_waited_for_by_a_later_one(world: World) -> None:
     world.network.deaf.add("1a")
@@ -675,6 +794,46 @@ async def test_program_that_sees_no_answers_drives_no_robot_of_another_host(worl
     world.network.deaf.clear()
     await asyncio.sleep(1.5)
     assert (await world.drive()).x_m_s == 0.2
+
+
+@pytest.mark.parametrize("before_s", [0.4, 0.25, 0.05, -0.05, -0.25])
+@pytest.mark.parametrize("gap_s", [0.45, 0.55, 0.65, 0.8])
+def test_gap_between_two_hosts_undoes_no_stop(before_s: float, gap_s: float) -> None:
+    """A program streams without a pause. Its commands wait from `before_s` before the stop on; its host is deaf."""
+
+    async def test(world: World) -> None:
+        loop = asyncio.get_running_loop()
+        began_s, sent, waiting = math.inf, world.desk_session.put, list[Callable[[], None]]()
+
+        def put(key: str, payload: bytes, **options: Any) -> None:
+            if loop.time() < began_s:
+                sent(key, payload, **options)
+            else:
+                waiting.append(functools.partial(sent, key, payload, **options))
+
+        async def stream() -> None:
+            while True:
+                with contextlib.suppress(HostlinkError):
+                    world.program.drive(world.robot(), DRIVE)
+                await asyncio.sleep(0.1)
+
+        world.desk_session.put = put  # type: ignore[method-assign]
+        async with meanwhile(stream()):
+            await asyncio.sleep(1.0)
+            assert world.scene.speeds()[-1] == 0.2
+            loop.call_later(0.5, world.scene.hub.robots.find(ROBOT).stop)
+            await asyncio.sleep(0.5 - before_s)
+            began_s = loop.time()
+            world.network.deaf.add("2b")
+            await asyncio.sleep(gap_s)
+            world.network.deaf.clear()
+            began_s, count = math.inf, len(world.scene.speeds())
+            for each in waiting:
+                each()
+            await asyncio.sleep(3.0)
+            assert not any(world.scene.speeds()[count:])
+
+    with_fleet(test)
 
 
 @inside(with_fleet)

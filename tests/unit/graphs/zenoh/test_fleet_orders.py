@@ -67,9 +67,29 @@ def test_order_concerns_a_daemon_that_is_out_of_sight_or_silent(request_: Stop |
 
 def test_stop_concerns_only_daemons_where_the_robot_was_last_connected() -> None:
     fleet = Fleet(link=None)
-    assert fleet.orders.receivers(STOP) == {}
+    assert fleet.orders.receivers(Stop(number=1, robot="robot_1")) == {}
     assert fleet.orders.receivers(LOCK) == {"1": "a"}
     assert Fleet().orders.receivers(Stop(number=1, robot="robot_2")) == {"2": "b"}
+
+
+@pytest.mark.parametrize("request_", [STOP, Lock(number=1, robot=None, reason="smoke")])
+def test_stop_or_lock_of_all_concerns_each_daemon_because_it_may_have_boards(request_: Stop | Lock) -> None:
+    fleet = Fleet(link=None)
+    fleet.state(A, now_s=1.0)  # it has no robot any longer
+    assert fleet.orders.receivers(request_) == {"1": "a", "2": "b"}
+    fleet.state(A, now_s=2.0, is_last=True)
+    fleet.roster.leave("1", 2.0)
+    assert fleet.orders.receivers(request_) == {"2": "b"}
+
+
+def test_lock_of_all_is_obeyed_by_a_daemon_without_robots_and_withdrawn_by_an_unlock() -> None:
+    fleet = Fleet()
+    order = fleet.give(Lock(number=1, robot=None, reason="smoke"))
+    fleet.obey(A, 1)
+    assert order.missing == {"2": "b"}
+    assert fleet.repeated_to(0.6) == ["2"]
+    fleet.orders.withdraw_locks(None)
+    assert fleet.repeated_to(2.0) == []
 
 
 def test_daemon_that_said_that_it_ends_is_not_missed_by_a_stop() -> None:

@@ -155,6 +155,15 @@ def test_a_message_that_waited_is_late() -> None:
     assert clock.late_s(3, 1_200_000_000, 102.2) == pytest.approx(2.0, abs=0.01)
 
 
+def test_a_message_after_a_lease_of_lost_ones_may_be_as_old_as_those() -> None:
+    clock = SourceClock()
+    assert clock.late_s(7, 1_000_000_000, 100.0) == 0
+    assert clock.late_s(9, 1_400_000_000, 100.4) == pytest.approx(0, abs=1e-3)  # less than a lease
+    assert clock.late_s(10, 2_400_000_000, 101.4) == pytest.approx(0, abs=1e-3)  # none was lost
+    assert clock.late_s(15, 3_000_000_000, 102.0) == pytest.approx(0.6)
+    assert clock.late_s(16, 3_100_000_000, 102.1) == pytest.approx(0, abs=1e-3)
+
+
 def test_a_clock_that_is_set_back_delays_nothing() -> None:
     clock = SourceClock()
     clock.late_s(1, 50_000_000_000, 100.0)
