@@ -14,6 +14,7 @@ import statistics
 import struct
 import sys
 import tempfile
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ from hostlink.protocol.frame import Frame, Id
 from hostlink.protocol.stream import FrameStream
 from tests.support.process import HOSTLINK, Process, serve
 from tests.support.stopwatch import kept_waiting_s
+from tests.support.waiting import is_true_within
 from tools.bench import Row, cpu_s, crowd, memory_mib, p99, parser, report
 from tools.crowd import TIME, hello
 from tools.sent_commands import SentCommands
@@ -34,6 +36,12 @@ from tools.sent_commands import SentCommands
 P99_BOUND_S = 0.020
 MEMORY_BOUND = 5.0  # times the daemon's with one robot
 COMMAND_INTERVAL_S = 0.02
+STOP_TIMEOUT_S = 30.0
+FEWEST, FEWEST_STOPS, LONGEST = (
+    20,
+    4,
+    10,
+)  # commands and stops that tell the median; how much longer a busy machine takes for them
 STOP_EVERY = 25  # commands, so twice a second: a zero, on the way that all take
 VELOCITY = struct.Struct("<6d")
 SPEEDS = 9000  # a command is told by its speed, in steps of 0.1 mm/s
@@ -103,7 +111,9 @@ async def measure(load: Load) -> dict[str, Any]:
         async with serve("--config", str(config), program=(HOSTLINK,)) as daemon:
             async with driven(daemon) as robot, subscribed(load, daemon), visitors_of(load, daemon) as visitors:
                 before_s, kept_before_s = cpu_s(daemon.pid), kept_s(daemon)
+                began_s = time.monotonic()
                 latencies = await robot.drive(load.seconds)
+                lasted_s = time.monotonic() - began_s
                 busy_s, kept_now_s = cpu_s(daemon.pid) - before_s, kept_s(daemon) - kept_before_s
                 counts = await visitors()
                 sent = robot.sent
@@ -120,7 +130,7 @@ async def measure(load: Load) -> dict[str, Any]:
         "commands": len(latencies),
         "superseded": sent.superseded,
         "memory_mib": held_mib,
-        "core_percent": 100 * busy_s / load.seconds,
+        "core_percent": 100 * busy_s / lasted_s,
         "crowd": counts,
     }
 
@@ -166,22 +176,26 @@ class Robot:
     async def drive(self, seconds: float) -> list[float]:
         """Latencies of the commands that came; AssertionError when one was lost.
 
-        Of several that the daemon reads in one turn of its loop the newest is sent on, and it counts the others.
+        Of several that the daemon reads in one turn of its loop the newest is sent on, and it counts the others. While
+        other programs keep the daemon from running, none comes in time; then it drives on.
         """
         await self._is_known.wait()
         await asyncio.sleep(SETTLED_S)
         loop = asyncio.get_running_loop()
         self.sent = sent = SentCommands()
         replaced = await self._replaced()
-        count = round(seconds / COMMAND_INTERVAL_S)
+        least = round(seconds / COMMAND_INTERVAL_S)
         began_s = loop.time()
-        for number in range(count):
-            speed = 0 if number % STOP_EVERY == STOP_EVERY - 1 else number % SPEEDS + 1
+        count = 0
+        while count < least or (count < least * LONGEST and not sent.is_told(FEWEST, FEWEST_STOPS)):
+            speed = 0 if count % STOP_EVERY == STOP_EVERY - 1 else count % SPEEDS + 1
             sent.send(speed, loop.time())
             message = {"linear": {"x": speed * STEP_M_S}}
             await self._program.send_json({"op": "publish", "topic": "/robot_0/velocity_commands", "msg": message})
-            await asyncio.sleep(max(0.0, began_s + (number + 1) * COMMAND_INTERVAL_S - loop.time()))
-        await asyncio.sleep(0.5)
+            await asyncio.sleep(max(0.0, began_s + (count + 1) * COMMAND_INTERVAL_S - loop.time()))
+            count += 1
+        await self._stop(sent)
+        count += 1
         replaced = await self._replaced() - replaced
         came = len(sent.latencies_s) + len(sent.stops_s)
         if came + replaced < 0.9 * count or sent.lost or sent.superseded > replaced:
@@ -189,15 +203,28 @@ class Robot:
             raise AssertionError(f"{came} of {count} commands came, {text}, {sent.lost} were lost")
         return sent.latencies_s
 
+    async def _stop(self, sent: SentCommands) -> None:
+        """Send a stop, which is always admitted, and wait for it: what was sent before comes before it, or never."""
+        stops = len(sent.stops_s)
+        sent.send(0, asyncio.get_running_loop().time())
+        await self._program.send_json({"op": "publish", "topic": "/robot_0/velocity_commands", "msg": {}})
+        await is_true_within(lambda: len(sent.stops_s) > stops and not sent.lost, STOP_TIMEOUT_S)  # else it is lost
+
     async def _replaced(self) -> int:
-        """Commands to the robot that the daemon has not sent, because a newer one came or they were late."""
+        """Commands to the robot that the daemon has not sent, because a newer one came or they were late.
+
+        A source with a late command is disarmed until it lets go; without a late one nothing may disarm it.
+        """
         async with self._session.get("/api/links") as answer:
             links = (await answer.json())["links"]
         async with self._session.get("/metrics") as answer:
             lines = (await answer.text()).splitlines()
-        is_late = re.compile(rf'{GATE}{{.*outcome="refused_late"')
-        in_api = [float(line.rpartition(" ")[2]) for line in lines if line.startswith(REPLACED) or is_late.match(line)]
-        return int(next(link["replaced"] for link in links if link["robot"] == "robot_0") + sum(in_api))
+        late, disarmed, in_api = (
+            sum(float(line.rpartition(" ")[2]) for line in lines if re.match(pattern, line))
+            for pattern in (f'{GATE}{{.*outcome="refused_late"', f'{GATE}{{.*outcome="refused_disarmed"', REPLACED)
+        )
+        of_link = next(link["replaced"] for link in links if link["robot"] == "robot_0")
+        return int(of_link + in_api + late + (disarmed if late else 0))
 
 
 @contextlib.asynccontextmanager

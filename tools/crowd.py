@@ -166,29 +166,39 @@ async def vanish(count: int, host: str, port: int, seconds: float, counts: Count
 
 
 async def silent(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
-    """Connect as fast as possible. A refused device does not retry."""
-    loop = asyncio.get_running_loop()
-    turns = asyncio.Semaphore(AT_ONCE)
-    end_s = loop.time() + seconds
+    """Connect as fast as possible, and stay until none has connected or been sent away for `seconds`, at least ten.
 
-    async def stay(number: int) -> None:
+    A refused device does not retry.
+    """
+    now_s, quiet_s = asyncio.get_running_loop().time, max(seconds, CONNECT_TIMEOUT_S)
+    turns = asyncio.Semaphore(AT_ONCE)
+
+    def note(end: asyncio.Timeout) -> None:
+        if not end.expired():
+            end.reschedule(now_s() + quiet_s)
+
+    async def stay(number: int, end: asyncio.Timeout) -> None:
         writer = None
-        with contextlib.suppress(OSError, TimeoutError):
+        try:
             async with turns, asyncio.timeout(CONNECT_TIMEOUT_S):
                 reader, writer = await asyncio.open_connection(host, port, local_addr=(source(number // 100), 0))
             counts["opened"] += 1
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout_at(end_s):
-                    while await reader.read(4096):
-                        counts["questions"] += 1
-                    counts["sent_away"] += 1
-        if writer is not None:
-            writer.close()
+            note(end)
+            while await reader.read(4096):
+                counts["questions"] += 1
+            counts["sent_away"] += 1
+            note(end)
+        except (OSError, TimeoutError):
+            counts["refused"] += 1
+        finally:
+            if writer is not None:
+                writer.close()
 
     ready()
-    async with asyncio.TaskGroup() as tasks:
-        for number in range(count):
-            tasks.create_task(stay(number))
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(quiet_s) as end, asyncio.TaskGroup() as tasks:
+            for number in range(count):
+                tasks.create_task(stay(number, end))
 
 
 async def flood(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:

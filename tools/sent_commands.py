@@ -34,6 +34,10 @@ class SentCommands:
             self.superseded += 1
         (self.latencies_s if number else self.stops_s).append(at_s - first.at_s)
 
+    def is_told(self, commands: int, stops: int) -> bool:
+        """Whether at least so many commands and stops have come."""
+        return len(self.latencies_s) >= commands and len(self.stops_s) >= stops
+
     @property
     def lost(self) -> int:
         """Number of commands that did not arrive, and were not followed by a later one that did."""
