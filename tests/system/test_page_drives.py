@@ -169,6 +169,20 @@ async def test_of_two_pages_the_one_that_takes_over_drives_until_it_lets_go(brow
         assert other.complaints == []
 
 
+async def test_a_page_whose_robot_was_stopped_says_by_whom_and_to_release_the_stick(browser: Browser) -> None:
+    async with board(browser, "differential") as device:
+        tab, keys = device.tab, device.tab.page.keyboard
+        await tab.hold("KeyW", lambda: device.moves(1, 0, 0))
+        await tab.page.request.post(f"{device.url}/api/robots/robot_0/stop?wait_s=0")
+        await tab.shows("#drive-state", "a stop by program (127.0.0.1). Release the stick, then hold it again")
+        await device.stands()
+        await keys.up("KeyW")
+        await tab.shows("#drive-state", "no driver")  # the reason is shown for as long as the key is held
+        await tab.hold("KeyW", lambda: device.moves(1, 0, 0))
+        await keys.up("KeyW")
+        await device.stands()
+
+
 async def shown(server: PageServer, tab: Visit, **changes: Any) -> None:
     server.show(State([robot("robot_0", **changes), robot("robot_1")], [link("robot_0"), link("robot_1")]))
     await tab.shows("#drive-state", "no driver")

@@ -30,6 +30,7 @@ export class Drive {
   private takesOver = false; // the next commands take the robot over, until one is accepted
   private refusal: DriveAnswer = { result: false };
   private refusedAt = Number.NEGATIVE_INFINITY;
+  private endedMotion = -1; // of the controls that the refusal has released: it is shown until they are
   private droveAt = Number.NEGATIVE_INFINITY; // the newest answer by which this page moved the robot
   private showCommand: (command: Deflection) => void = () => {}; // on the stick
   private readonly pause = new Pause();
@@ -77,7 +78,10 @@ export class Drive {
       return;
     }
     const isEarlier = command !== undefined && command.motion !== this.motion;
-    if (answer.kind !== HELD && !isEarlier) this.driving.releaseAll();
+    if (answer.kind !== HELD && !isEarlier) {
+      this.driving.releaseAll();
+      this.endedMotion = this.driving.motion;
+    }
     if (answer.kind === HELD && command?.isZero) return;
     this.refusal = answer;
     this.refusedAt = performance.now();
@@ -96,6 +100,7 @@ export class Drive {
     if (robot?.name !== this.target?.name || robot?.velocity_topic !== this.target?.velocity_topic) {
       this.driving.releaseAll(); // the zeros are sent to the robot that was driven
       this.takesOver = false;
+      this.endedMotion = -1;
     }
     this.target = robot;
     const isSideways = robot !== undefined && hasSideways(robot);
@@ -131,7 +136,8 @@ export class Drive {
   }
 
   private get isRefused(): boolean {
-    return performance.now() - this.refusedAt < REFUSED_MS;
+    const isReleased = !this.driving.isBarred || this.driving.motion !== this.endedMotion;
+    return performance.now() - this.refusedAt < REFUSED_MS || !isReleased;
   }
 
   private describe(robot: RobotView | undefined): [state: string, text: string] {

@@ -45,6 +45,11 @@ export class Driving {
     return this.held.size > 0;
   }
 
+  /** Whether a control must be released before it drives again. */
+  get isBarred(): boolean {
+    return this.barred.size > 0;
+  }
+
   holds(source: Source): boolean {
     return this.held.has(source);
   }
