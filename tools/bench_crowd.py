@@ -177,7 +177,7 @@ class Robot:
         """Latencies of the commands that came; AssertionError when one was lost.
 
         Of several that the daemon reads in one turn of its loop the newest is sent on, and it counts the others. While
-        other programs keep the daemon from running, none comes in time; then it drives on.
+        other programs keep the daemon from running, no command is in time; the drive is longer then.
         """
         await self._is_known.wait()
         await asyncio.sleep(SETTLED_S)
@@ -204,7 +204,7 @@ class Robot:
         return sent.latencies_s
 
     async def _stop(self, sent: SentCommands) -> None:
-        """Send a stop, which is always admitted, and wait for it: what was sent before comes before it, or never."""
+        """Send a stop, which is always admitted, and wait until the robot has it: earlier commands are lost then."""
         stops = len(sent.stops_s)
         sent.send(0, asyncio.get_running_loop().time())
         await self._program.send_json({"op": "publish", "topic": "/robot_0/velocity_commands", "msg": {}})

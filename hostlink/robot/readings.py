@@ -4,6 +4,7 @@ A reading has only what can be believed: a pose with NaN, or with an orientation
 and its flaw is named. What is merely unusual (a stamp of zero) is named, too, and does not remove the pose.
 """
 
+import functools
 import math
 import struct
 from collections.abc import Callable
@@ -97,54 +98,54 @@ def read_pose(payload: bytes) -> OdometryReading:
     return OdometryReading(Pose(x_m, y_m, wrap_angle(theta_rad)))
 
 
-def _reader(type_name: str, parts: _Parts) -> Reader:
-    """Make the reader of a type. It raises BadPayload for a payload that is not of the type."""
+def _read(type_name: str, parts: _Parts, payload: bytes) -> OdometryReading:
+    """Read a message with these parts.
+
+    Raises:
+        BadPayload: the payload is not of the type.
+    """
     covariance_bytes = _COVARIANCE_BYTES if parts.has_covariance else 0
-
-    def read(payload: bytes) -> OdometryReading:
-        at, stamp_ns, frame_id = 0, None, ""
-        flaws: list[Flaw] = []
-        pose: Pose | None = None
-        twist: PlanarVelocity | None = None
-        try:
-            if parts.has_header:
-                secs, nsecs, frame_bytes = _HEADER.unpack_from(payload)
-                at = _HEADER.size + frame_bytes
-                stamp_ns = secs * _NS_PER_S + nsecs
-                if not stamp_ns:
-                    flaws.append(Flaw.ZERO_STAMP)
-                if frame_bytes and payload[_HEADER.size] == _SLASH:
-                    flaws.append(Flaw.SLASH_FRAME)
-                    frame_id = payload[_HEADER.size : at].decode(errors="replace")
-            if parts.has_child_frame:
-                (frame_bytes,) = _LENGTH.unpack_from(payload, at)
-                at += _LENGTH.size
-                if frame_bytes and payload[at] == _SLASH and Flaw.SLASH_FRAME not in flaws:
-                    flaws.append(Flaw.SLASH_FRAME)
-                    frame_id = payload[at : at + frame_bytes].decode(errors="replace")
-                at += frame_bytes
-            if parts.has_pose:
-                pose, flaw = _pose(*_POSE.unpack_from(payload, at))
-                if flaw is not None:
-                    flaws.append(flaw)
-                at += _POSE.size
-                if covariance_bytes and payload[at : at + covariance_bytes] == _NO_COVARIANCE:
-                    flaws.append(Flaw.ZERO_COVARIANCE)
-                at += covariance_bytes
-            if parts.has_twist:
-                twist = PlanarVelocity(*_TWIST.unpack_from(payload, at))
-                if not twist.is_finite:
-                    twist = None
-                    if not parts.has_pose:
-                        flaws.append(Flaw.NOT_FINITE)
-                at += _TWIST.size + covariance_bytes
-        except (struct.error, IndexError) as error:
-            raise BadPayload(type_name, f"{len(payload)} bytes are too few: {error}") from error
-        if len(payload) != at:
-            raise BadPayload(type_name, f"{len(payload)} bytes instead of {at}")
-        return OdometryReading(pose, twist, stamp_ns, None, tuple(flaws), frame_id)
-
-    return read
+    at, stamp_ns, frame_id = 0, None, ""
+    flaws: list[Flaw] = []
+    pose: Pose | None = None
+    twist: PlanarVelocity | None = None
+    try:
+        if parts.has_header:
+            secs, nsecs, frame_bytes = _HEADER.unpack_from(payload)
+            at = _HEADER.size + frame_bytes
+            stamp_ns = secs * _NS_PER_S + nsecs
+            if not stamp_ns:
+                flaws.append(Flaw.ZERO_STAMP)
+            if frame_bytes and payload[_HEADER.size] == _SLASH:
+                flaws.append(Flaw.SLASH_FRAME)
+                frame_id = payload[_HEADER.size : at].decode(errors="replace")
+        if parts.has_child_frame:
+            (frame_bytes,) = _LENGTH.unpack_from(payload, at)
+            at += _LENGTH.size
+            if frame_bytes and payload[at] == _SLASH and Flaw.SLASH_FRAME not in flaws:
+                flaws.append(Flaw.SLASH_FRAME)
+                frame_id = payload[at : at + frame_bytes].decode(errors="replace")
+            at += frame_bytes
+        if parts.has_pose:
+            pose, flaw = _pose(*_POSE.unpack_from(payload, at))
+            if flaw is not None:
+                flaws.append(flaw)
+            at += _POSE.size
+            if covariance_bytes and payload[at : at + covariance_bytes] == _NO_COVARIANCE:
+                flaws.append(Flaw.ZERO_COVARIANCE)
+            at += covariance_bytes
+        if parts.has_twist:
+            twist = PlanarVelocity(*_TWIST.unpack_from(payload, at))
+            if not twist.is_finite:
+                twist = None
+                if not parts.has_pose:
+                    flaws.append(Flaw.NOT_FINITE)
+            at += _TWIST.size + covariance_bytes
+    except (struct.error, IndexError) as error:
+        raise BadPayload(type_name, f"{len(payload)} bytes are too few: {error}") from error
+    if len(payload) != at:
+        raise BadPayload(type_name, f"{len(payload)} bytes instead of {at}")
+    return OdometryReading(pose, twist, stamp_ns, None, tuple(flaws), frame_id)
 
 
 def _pose(x_m: float, y_m: float, x: float, y: float, z: float, w: float) -> tuple[Pose | None, Flaw | None]:
@@ -163,7 +164,7 @@ def _pose(x_m: float, y_m: float, x: float, y: float, z: float, w: float) -> tup
 
 READERS: dict[str, Reader] = {
     POSE_TYPE: read_pose,
-    **{type_name: _reader(type_name, parts) for type_name, parts in _PARTS.items()},
+    **{type_name: functools.partial(_read, type_name, parts) for type_name, parts in _PARTS.items()},
 }
 POSE_TYPES = (  # that say where the robot is; those that also have a velocity, or a frame, first
     ODOMETRY_TYPE, POSE_TYPE, "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped",
