@@ -70,7 +70,7 @@ class Scene:
         return self.host.hub.robots.find("robot_0").gate.owner_name
 
     def refusals(self, kind: RefusalKind) -> int:
-        """How many commands were refused."""
+        """Number of commands that were refused."""
         return self.host.hub.robots.find("robot_0").admission.refused.get(kind, 0)
 
     async def drives(self) -> None:
