@@ -7,7 +7,7 @@
 import { setText } from "./dom";
 import type { Driving } from "./driving";
 import { isStickShown } from "./joystick";
-import { notice } from "./notice";
+import { keepNotice } from "./notice";
 
 const POLL_MS = 16; // the rate at which browsers read it; a short press of the stop must not be missed
 const SHOULDERS = [4, 5]; // of the standard mapping; one of them must be held
@@ -32,7 +32,8 @@ export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => 
       const [turn = 0, forward = 0, left = 0] = pad.axes.map((axis) => bend(-axis));
       driving.hold("gamepad", { forward, turn, left: pad.mapping === "standard" ? left : 0 }); // else a trigger
     } else if (isEnabled) {
-      if (driving.bar("gamepad") && isHere) notice("done", HIDDEN, HIDDEN_MS);
+      driving.bar("gamepad");
+      if (isHere) keepNotice("done", HIDDEN, HIDDEN_MS);
     } else {
       driving.release("gamepad");
     }

@@ -25,6 +25,12 @@ export function notice(kind: Kind, text: string | null, for_ms?: number): void {
   setText(find("#notice p"), worst === undefined ? "" : (texts.get(worst) ?? ""));
 }
 
+/** Show a notice for as long as this is called again and again, and then for `for_ms`; another one of its kind stays. */
+export function keepNotice(kind: Kind, text: string, for_ms: number): void {
+  const shown = texts.get(kind);
+  if (shown === undefined || shown === text) notice(kind, text, for_ms);
+}
+
 function removeAfter(kind: Kind, for_ms: number): void {
   const end = () => (isExpanded(find("#notice p")) ? removeAfter(kind, READ_MS) : notice(kind, null));
   timers.set(kind, setTimeout(end, for_ms));
