@@ -41,6 +41,19 @@ OWN_TOPIC = "pid_tune_l"  # only hostlink's firmware subscribes to it
 Show = Callable[[int, float], None]  # remaining legs, seconds
 
 
+def require_two_wheels(robot: str, kinematics: str) -> None:
+    """Refuse a robot whose drive the method does not describe.
+
+    Raises:
+        HostlinkError: the settings give it another drive.
+    """
+    if kinematics not in ("", "differential"):
+        raise HostlinkError(
+            f"{robot} has a drive of the kind {kinematics}; calibration measures the wheels of differential drives. "
+            f'If it has two driven wheels, set kinematics = "differential" in [robots.{robot}]'
+        )
+
+
 class Drives:
     """Drives of one robot of a daemon along courses."""
 
@@ -57,6 +70,7 @@ class Drives:
         async with connected(self._url, self._token) as host:
             state = await free_robot(host, self.robot)
             require_pose(state)
+            require_two_wheels(state["name"], state["kinematics"])
             robot = host.robot(self.robot, priority=PRIORITY)
             poses_topic = state["odometry_topic"]
             if poses_topic is None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 
 from hostlink.cli.calibrate import GuidedCalibration, settings_of
 from hostlink.cli.calibration_plan import SavedCalibration, Sizes, open_state
-from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show, numbers_of, pose_of
+from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show, numbers_of, pose_of, require_two_wheels
 from hostlink.cli.main import build_app
 from hostlink.cli.output import write, write_error
 from hostlink.config import load
@@ -347,3 +347,14 @@ def test_poses_of_both_kinds_of_odometry_are_read() -> None:
 )
 def test_parameters_are_numbers_or_nothing(text: str, numbers: list[float]) -> None:
     assert numbers_of(text) == numbers
+
+
+@pytest.mark.parametrize("kinematics", ["mecanum", "ackermann", "omni3", "skid_steer", "planar"])
+def test_robot_with_another_drive_than_two_wheels_is_refused(kinematics: str) -> None:
+    with pytest.raises(HostlinkError, match=f"r has a drive of the kind {kinematics}; calibration measures"):
+        require_two_wheels("r", kinematics)
+
+
+@pytest.mark.parametrize("kinematics", ["", "differential"])
+def test_robot_with_two_wheels_is_calibrated(kinematics: str) -> None:
+    require_two_wheels("r", kinematics)
