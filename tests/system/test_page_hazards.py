@@ -496,14 +496,16 @@ async def test_a_later_stop_takes_nothing_from_an_earlier_one(scene: Scene) -> N
 
 async def test_stop_of_all_names_what_it_sent_to_boards(scene: Scene) -> None:
     state = fleet("robot_0", "robot_1")
-    board = {"link": 3, "peer": "10.0.0.3", "robot": None, "is_guarded": False, "is_locked": False}
+    board = {"link": 3, "peer": "10.0.0.3", "host": None, "robot": None, "is_guarded": False, "is_locked": False}
     motor = {**board, "topic": "/left_motor", "type": "std_msgs/Int16", "is_zero_sent": True, "reason": ""}
     word = {**board, "topic": "/word", "type": "std_msgs/String", "is_zero_sent": False, "reason": "it has no zero"}
     state.endpoints = [motor, word]
     scene.server.show(state)
     await scene.tab.page.get_by_role("button", name="Stop all").click()
     sent = "/left_motor of 10.0.0.3: zero sent; it is not a robot's, so nobody can say that it is stopped."
-    await scene.tab.shows("#notice", f"All 2 robots are stopped. {sent} /word of 10.0.0.3 was not sent a zero")
+    await scene.tab.shows(
+        "#notice", f"All 2 robots are stopped. {sent} /word of 10.0.0.3 at kitchen was not sent a zero"
+    )
 
 
 async def test_the_stop_works_when_it_is_pressed_and_waits_for_no_release(scene: Scene) -> None:
