@@ -498,7 +498,14 @@ async def test_stop_of_all_names_what_it_sent_to_boards(scene: Scene) -> None:
     state = fleet("robot_0", "robot_1")
     board = {"link": 3, "peer": "10.0.0.3", "host": None, "robot": None, "is_guarded": False, "is_locked": False}
     motor = {**board, "topic": "/left_motor", "type": "std_msgs/Int16", "is_zero_sent": True, "reason": ""}
-    word = {**board, "topic": "/word", "type": "std_msgs/String", "is_zero_sent": False, "reason": "it has no zero"}
+    word = {
+        **board,
+        "host": "kitchen",
+        "topic": "/word",
+        "type": "std_msgs/String",
+        "is_zero_sent": False,
+        "reason": "it has no zero",
+    }
     state.endpoints = [motor, word]
     scene.server.show(state)
     await scene.tab.page.get_by_role("button", name="Stop all").click()
