@@ -64,7 +64,8 @@ A lease without a command is one of the source's own making: from the arrival of
 the next one may have been sent. A network or a daemon that delays commands makes none. Of a command without `sent_s`
 the network's delay is unknown. Where a silence ends that armed a disarmed source, or in which the robot was
 interrupted, two commands for one topic that come within BUNCH_S in the lease after it have waited together for the
-network: the source is disarmed, and what it drives stops.
+network: the source is disarmed, and what it drives stops. Of a source whose commands usually come less than SLOW_S
+apart this cannot be told; it should send `sent_s`.
 
 An interruption increments the epoch. Answers to commands carry the epoch, so that a program can say that it has seen
 the interruption. A reconnection disarms the sources that were driving when the device left, too. A reconnection within
@@ -104,7 +105,9 @@ class Freshness:
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
-BUNCH_S = 0.01  # no source commands a hundred times a second; commands that waited for the network arrive together
+BUNCH_S = 0.01  # commands that waited for the network arrive together
+SLOW_S = 4 * BUNCH_S  # interval of sources of which that is known: two commands of a faster one often arrive together
+INTERVAL_WEIGHT = 1 / 8  # of the newest interval
 UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
@@ -247,10 +250,16 @@ class _Source:
     freshness: Freshness = field(default_factory=Freshness)
     resumed_s: float = float("-inf")  # end of a silence before or in which the robot was interrupted
     came_s: dict[Hashable, float] = field(default_factory=dict)  # by topic: arrival of the newest admitted command
+    interval_s: float = math.inf  # usual time between two commands for one topic; infinite: not known
+
+    def note_interval(self, interval_s: float) -> None:
+        """Note the time between two commands for one topic, without a silence between them."""
+        known_s = interval_s if self.interval_s == math.inf else self.interval_s
+        self.interval_s = known_s + (interval_s - known_s) * INTERVAL_WEIGHT
 
     def is_bunched(self, command: Command[Any], now_s: float, topic: Hashable) -> bool:
         """Whether a command waited with the admitted one before it: then a silence before both was the network's."""
-        tells_more = command.sent_s is not None or command.epoch is not None
+        tells_more = command.sent_s is not None or command.epoch is not None or self.interval_s < SLOW_S
         return not tells_more and now_s < self.came_s.get(topic, float("-inf")) + BUNCH_S
 
     def note_admitted(self, command: Command[Any], now_s: float, topic: Hashable) -> None:
@@ -322,7 +331,9 @@ class Admission:
             self._note_unrecorded(now_s, now_s)
             reason = f"more than {MAX_SOURCES} sources command this robot at once; stop some of them"
             return self._refuse(RefusalKind.CROWDED, reason)
-        waited_s = source.waited_s(command, now_s)
+        waited_s, before_s = source.waited_s(command, now_s), source.commanded.get(topic)
+        if before_s is not None and source.resumed_s + self.lease_s <= now_s < before_s + self.lease_s:
+            source.note_interval(now_s - before_s)
         if now_s - max(waited_s, 0.0) >= source.commanded_s + self.lease_s:
             if not source.is_armed or self._interrupted_s >= source.commanded_s > -math.inf:
                 source.resumed_s = now_s

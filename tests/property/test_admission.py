@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from hostlink.errors import RefusalKind
-from hostlink.robot.admission import BUNCH_S, LEASE_S, UNORDERED_S, Admission, Command
+from hostlink.robot.admission import BUNCH_S, INTERVAL_WEIGHT, LEASE_S, SLOW_S, UNORDERED_S, Admission, Command
 from hostlink.robot.kinematics import PLANAR, AckermannDrive, DifferentialDrive, MecanumDrive
 from hostlink.robot.kinematics import Drive as RobotDrive
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
@@ -37,6 +37,21 @@ class Heard:
     has_lost_device: bool = False  # it was commanding when the device left
     resumed_s: float = float("-inf")  # end of a silence before or in which it was interrupted
     admitted_s: dict[str, float] = field(default_factory=dict)  # by topic
+    intervals_s: list[float] = field(default_factory=list)  # between commands for one topic, without a silence
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether two commands at once are unusual: by the mean of the intervals, in which the newest counts most."""
+        mean_s = self.intervals_s[0] if self.intervals_s else SLOW_S
+        for each in self.intervals_s:
+            mean_s += (each - mean_s) * INTERVAL_WEIGHT
+        return mean_s >= SLOW_S
+
+    def note_interval(self, topic: str, now_s: float) -> None:
+        """Note the time since the command before, unless one of them ended a silence."""
+        before_s = self.commanded_s.get(topic, float("-inf"))
+        if self.resumed_s + LEASE_S <= now_s < before_s + LEASE_S:
+            self.intervals_s.append(now_s - before_s)
 
     @property
     def last_s(self) -> float:
@@ -51,7 +66,7 @@ class Heard:
     def is_bunched(self, topic: str, now_s: float) -> bool:
         """Whether a command follows an admitted one so closely, after a silence, that both waited for the network."""
         is_close = now_s < self.admitted_s.get(topic, float("-inf")) + BUNCH_S
-        return is_close and now_s < self.resumed_s + LEASE_S
+        return is_close and self.is_slow and now_s < self.resumed_s + LEASE_S
 
     def has_let_go(self, now_s: float) -> bool:
         return now_s >= self.last_s + LEASE_S
@@ -130,6 +145,7 @@ class History(RuleBasedStateMachine):
         drive = self.drives.get(topic)
         if drive is not None and (drive.source == owner or self.now_s >= drive.at_s + LEASE_S):
             drive = None
+        heard.note_interval(topic, self.now_s)
         heard.resume(self.now_s - waited_s, self.now_s, self.interrupted_s)
         if heard.has_let_go(self.now_s - waited_s):
             heard.was_interrupted = heard.has_missed = heard.was_taken_over = False
@@ -211,7 +227,9 @@ class History(RuleBasedStateMachine):
         heard.held_until_s = self.driven_until_s(owner)
         heard.commanded_s.pop(topic, None)
         if heard.has_let_go(self.now_s):
-            self.sources[owner] = Heard(held_until_s=heard.held_until_s, priority=heard.priority)
+            self.sources[owner] = Heard(
+                held_until_s=heard.held_until_s, priority=heard.priority, intervals_s=heard.intervals_s
+            )
         if not self.is_connected:
             assert decision.kind is RefusalKind.NOT_CONNECTED
         else:

@@ -257,6 +257,23 @@ def test_commands_that_tell_when_they_were_sent_may_come_together(robot: Timelin
     assert robot.command(sent_s=0.6).is_admitted
 
 
+@pytest.mark.parametrize(("rate_hz", "drives"), [(20, False), (200, True)])
+def test_two_commands_at_once_after_a_silence_are_usual_of_a_fast_source(
+    robot: Timeline, rate_hz: float, *, drives: bool
+) -> None:
+    for _ in range(100):
+        assert robot.command().is_admitted
+        robot.wait(1 / rate_hz)
+    robot.stop()
+    for _ in range(10):
+        assert robot.command().kind is RefusalKind.DISARMED
+        robot.wait(1 / rate_hz)
+    robot.wait(LEASE_S)
+    assert robot.command().is_admitted
+    robot.wait(BUNCH_S / 2)
+    assert robot.command().is_admitted is drives
+
+
 def test_arrival_within_a_lease_after_a_silence_may_end_one_of_the_network() -> None:
     resumption = Resumption()
     times_s = [0.0, 0.4, 0.8, 1.3, 1.7, 1.9, 3.0]
