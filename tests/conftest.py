@@ -6,6 +6,7 @@ each time, `same` (of `make test`) 20, the same ones each time, and fuzz 5000 fo
 
 import gc
 import os
+import shutil
 import signal
 import zlib
 from collections.abc import Iterator
@@ -83,6 +84,12 @@ def _state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         patch.delenv("STATE_DIRECTORY", raising=False)
         yield
+
+
+@pytest.fixture(autouse=True)
+def _robots_without_names(_state_of_its_own: None) -> None:
+    """Forget which device was robot_0 in an earlier test: another one of that name would be robot_0_2."""
+    shutil.rmtree(Path(os.environ["XDG_STATE_HOME"], "hostlink", "names"), ignore_errors=True)
 
 
 def pytest_configure() -> None:

@@ -32,9 +32,10 @@ def folder_of(config: Config) -> Path | None:
 
     Each port has its own: two daemons on one computer have robots of their own.
     """
-    if not config.tcp.port and not config.serial and config.udp is None:
+    port = config.tcp.port or (0 if config.udp is None else config.udp.port)
+    if not port and not config.serial:
         return None
-    return default_folder().parent / "names" / str(config.tcp.port)
+    return default_folder().parent / "names" / str(port)
 
 
 class NamesFile:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.config import Config, SerialConfig, TcpConfig
+from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig
 from hostlink.hub.hub import Hub
 from hostlink.protocol.frame import Id
 from hostlink.recording.robot_names import DAMAGED, FILE, MAX_FILE_BYTES, NamesFile, folder_of, kept_names
@@ -121,5 +121,7 @@ def test_each_port_has_its_own_names_and_a_random_port_has_none(
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     assert folder_of(Config()) == tmp_path / "names" / "11411"
     assert folder_of(Config(tcp=TcpConfig(port=0))) is None
+    assert folder_of(Config(tcp=TcpConfig(port=0), udp=UdpConfig(port=0))) is None  # no device finds the next daemon
+    assert folder_of(Config(tcp=TcpConfig(port=0), udp=UdpConfig(port=4000))) == tmp_path / "names" / "4000"
     serial = (SerialConfig(path="/dev/ttyUSB0"),)
     assert folder_of(Config(tcp=TcpConfig(port=0), serial=serial)) == tmp_path / "names" / "0"
