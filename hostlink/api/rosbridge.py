@@ -896,6 +896,7 @@ class RosbridgeClient:
         """End the participant and release everything that it has."""
         self.participant.leave()
         self._fragments.close()
+        self._operations.clear()  # otherwise they form a reference cycle, which keeps all that the client had
 
     # -- operations ---------------------------------------------------------------------------------------------------
 

@@ -241,7 +241,10 @@ async def test_every_request_carries_the_token() -> None:
             await me.robots()
         async with connect(f"{url}/?token=other"):
             pass
-    assert observed == [("/", "Bearer secret"), ("/api/robots", "Bearer secret"), ("/", "Bearer other")]
+    # On a machine that stands still the client connects again: each request has the token all the same.
+    secret = [each for each in observed if each[1] == "Bearer secret"]
+    assert set(secret) == {("/", "Bearer secret"), ("/api/robots", "Bearer secret")}
+    assert observed[len(secret) :] == [("/", "Bearer other")] * (len(observed) - len(secret)) != []
 
 
 async def test_a_daemon_of_another_version_drives_nothing_that_the_program_does_not_know_of() -> None:

@@ -31,20 +31,24 @@ class LostNode(Exception):
 
 
 class FakeFuture:
-    """Future of rclpy."""
+    """Future of rclpy. A callback that is added to one with a result is called at once."""
 
     def __init__(self, **_: Any) -> None:
         self.done: list[Callable[[FakeFuture], None]] = []
         self.value: Any = None
+        self.has_result = False
 
     def add_done_callback(self, callback: Callable[["FakeFuture"], None]) -> None:
-        self.done.append(callback)
+        if self.has_result:
+            callback(self)
+        else:
+            self.done.append(callback)
 
     def result(self) -> Any:
         return self.value
 
     def set_result(self, value: Any) -> None:
-        self.value = value
+        self.value, self.has_result = value, True
         for callback in self.done:
             callback(self)
 
@@ -354,12 +358,13 @@ async def test_call_of_a_service_returns_its_answer_and_forgets_it_when_cancelle
     client = SimpleNamespace(call_async=lambda _: pending, remove_pending_request=removed.append)
     async with asyncio.TaskGroup() as tasks:
         calling = tasks.create_task(made.call(client, "request"))
-        await asyncio.sleep(0.01)
+        await expect(lambda: pending.done)
         pending.set_result("answer")
     assert (calling.result(), removed) == ("answer", [pending])
     async with asyncio.TaskGroup() as tasks:
+        pending.done, pending.has_result = [], False
         calling = tasks.create_task(made.call(client, "request"))
-        await asyncio.sleep(0.01)
+        await expect(lambda: pending.done)
         calling.cancel()
     assert removed == [pending, pending]
     assert isinstance(made.pending(), FakeFuture)
