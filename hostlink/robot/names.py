@@ -131,6 +131,12 @@ class Places:
         names = self._names.get(origin.peer, [])
         return names if origin.peer == origin.address else [*names, *self._names.get(origin.address, [])]
 
+    def differ(self, one: Origin, other: Origin) -> bool:
+        """Whether the settings tell two devices of one address apart by their ports."""
+        return one.peer != other.peer and any(
+            each.peer != each.address and each.peer in self._names for each in (one, other)
+        )
+
 
 class RobotNames:
     """Choice of a robot's name. The first of these that is free is chosen:
@@ -201,7 +207,7 @@ class RobotNames:
         is_only_one = len(here) == 1
         if origin.own in free:
             return Named(origin.own, is_only_one)
-        had = self._names_of(origin)
+        had = [name for name in self._names_of(origin) if name in here or not self.places.has(name)]
         before = [name for name in had if name not in self.links]
         if before:
             same = next((name for name in before if self._owners[name].peer == origin.peer), None)
@@ -559,7 +565,8 @@ class Directory:
 
     def _rivals(self, entry: _Entry, now_s: float) -> tuple[int | None, list[int]]:
         """Links that claim the same identity: one that has ended, and those that may have."""
-        links = self._settled.get(entry.key, {})
+        settled = self._settled.get(entry.key, {})
+        links = [link for link in settled if not self._names.places.differ(entry.origin, self._entries[link].origin)]
         is_again = any(now_s < self._entries[link].replaced_at_s + AGAIN_S for link in links)
         has_twins = is_again or len(links) > 1 or self._names.has_twins(entry.origin)
         unclear = []

@@ -72,9 +72,11 @@ class Clocked:
                 self.directory.presence(link).note_read(self.now_s)
 
 
-def accepted(ours: Clocked, link: int, address: str, topics: list[Endpoint]) -> tuple[str | None, int | None]:
+def accepted(
+    ours: Clocked, link: int, address: str, topics: list[Endpoint], *, port: int = 0
+) -> tuple[str | None, int | None]:
     ours.now_s += 100.0
-    claim = ours.claim(link, address, topics)
+    claim = ours.claim(link, address, topics, port=port)
     assert isinstance(claim, Accepted)
     return None if claim.robot is None else claim.robot.name, claim.replaces
 
@@ -469,6 +471,19 @@ def test_the_configuration_names_a_robot_by_its_address() -> None:
     assert accepted(ours, 2, AWAY, plain_robot()) == ("right", None)
     assert accepted(ours, 3, HOME, plain_robot()) == ("left", 1)
     assert accepted(ours, 4, "192.168.4.9", plain_robot()) == ("robot_0", None)
+
+
+@pytest.mark.parametrize("is_named", [True, False])
+def test_board_at_a_configured_port_never_gets_the_name_of_another_port(*, is_named: bool) -> None:
+    topics = plain_robot() if is_named else [to_device("cmd_vel")]
+    ours = directory({"left": f"{HOME}:5001", "right": f"{HOME}:5002"})
+    assert accepted(ours, 1, HOME, topics, port=5001) == ("left", None)
+    assert accepted(ours, 2, HOME, topics, port=5002) == ("right", None)  # the first is silent
+    ours.leave(1)
+    ours.leave(2)
+    assert accepted(ours, 3, HOME, topics, port=5002) == ("right", None)
+    ours.leave(3)
+    assert accepted(ours, 4, HOME, topics, port=5001) == ("left", None)
 
 
 def test_the_configuration_names_a_robot_by_its_address_and_port() -> None:
