@@ -224,6 +224,8 @@ class WheelsConfig:
             raise ValueError(
                 'wheels.topics must name the topics of the wheels, for example ["lmotor_cmd", "rmotor_cmd"]'
             )
+        if len(set(self.topics)) < len(self.topics):
+            raise ValueError("wheels.topics names one topic twice")
         if self.unit == "ticks_s" and self.ticks_per_turn <= 0:
             raise ValueError('wheels.unit "ticks_s" needs ticks_per_turn above zero')
         if not all(abs(each) == 1 for each in self.directions):
@@ -330,6 +332,12 @@ class WordsConfig:
     left: str
     right: str
     stop: str
+
+    def __post_init__(self) -> None:
+        if not self.stop:
+            raise ValueError("words.stop must not be empty: it is what stops the robot")
+        if self.stop in (self.forward, self.backward, self.left, self.right):
+            raise ValueError(f"words.stop must differ from the words that move the robot: {self.stop!r}")
 
 
 _PAIR = 2  # throttle and steering

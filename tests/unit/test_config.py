@@ -174,3 +174,18 @@ def test_encoders_that_are_wrong_are_refused_with_their_reason(tmp_path: Path, l
     path.write_text(lines)
     with pytest.raises(ConfigError, match=re.escape(problem)):
         load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('words = {topic="c", forward="F", backward="B", left="L", right="R", stop=""}', "stop must not be empty"),
+        ('words = {topic="c", forward="S", backward="B", left="L", right="R", stop="S"}', "must differ from the words"),
+        ('wheels = {topics=["m", "m"], unit="pwm"}', "names one topic twice"),
+    ],
+)
+def test_command_that_cannot_stop_or_says_one_topic_twice_is_refused(tmp_path: Path, text: str, problem: str) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_text(f"[robots.r]\n{text}\n")
+    with pytest.raises(ConfigError, match=problem):
+        load(path)
