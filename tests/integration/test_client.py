@@ -241,7 +241,7 @@ async def test_every_request_carries_the_token() -> None:
             await me.robots()
         async with connect(f"{url}/?token=other"):
             pass
-    # On a machine that stands still the client connects again: each request has the token all the same.
+    # On a machine that pauses the client connects again, with the same token.
     secret = [each for each in observed if each[1] == "Bearer secret"]
     assert set(secret) == {("/", "Bearer secret"), ("/api/robots", "Bearer secret")}
     assert observed[len(secret) :] == [("/", "Bearer other")] * (len(observed) - len(secret)) != []
