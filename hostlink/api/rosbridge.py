@@ -980,7 +980,9 @@ class RosbridgeClient:
         is known to fail by one.
         """
         log.debug("client.refused", client=self.participant.name, reason=str(error))
-        if not (self._is_shown_velocity(error, request) if self._status_from is None else self._status_from <= _ERROR):
+        level = self._status_from
+        is_shown = self._is_shown_velocity(error, request) if level is None else level <= _ERROR
+        if not is_shown:
             return
         status = {"op": "status", "level": "error", "msg": str(error), "kind": error.kind}
         request_id = None if request is None else request.fields.get("id")

@@ -328,7 +328,7 @@ class Device:
         if self.lock.lock_reason is not None:
             self.stop_unguarded()
 
-    def stop_unguarded(self) -> list[CommandEndpoint]:
+    def stop_unguarded(self) -> None:
         """Send zero to each endpoint that looks like a command and has no gate. Older messages to it are dropped."""
         if self.lock.lock_reason is not None:
             for info in self.infos:
@@ -342,7 +342,6 @@ class Device:
                 self.link.session.publish(info.name, zero, is_urgent=True)
         if self.unguarded:
             self.link.wake()
-        return self.unguarded_endpoints()
 
     def unguarded_endpoints(self) -> list[CommandEndpoint]:
         """Return its endpoints that look like commands and have no gate, after `stop_unguarded`."""

@@ -625,11 +625,10 @@ class Gates:
         try:
             if is_fed and gate.stays(now_s):
                 return None
+            # The next of three zeros would replace one that waits for the device.
             is_next_zero = gate.is_stopping and gate.current.is_zero and drivable.sent.is_zero
             if is_next_zero and connection is not None and connection.link.session.outbox.has_urgent:
-                return (
-                    None  # it would replace the zero that waits for the device, and one would arrive instead of three
-                )
+                return None
             is_first = gate.is_new_device
             velocity = gate.step(now_s)
             ended = gate.pop_ended()

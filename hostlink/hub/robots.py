@@ -7,7 +7,7 @@ import itertools
 import math
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable
 from typing import TYPE_CHECKING
 
 import structlog
@@ -256,29 +256,20 @@ class Robots:
         """
         if self._gates.hosts is not None:
             self._gates.hosts.lock(None, shown_reason(reason))
-        self._lock_boards(reason, by=by)
-        return self._lock_each(self.all(), reason, by=by)
+        return self._lock((robot.lock for robot in self.all()), reason, by=by)
 
     def lock_all_here(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
         """Lock every robot and every board of this daemon; as `lock_all`."""
-        self._lock_boards(reason, by=by)
-        return self._lock_each(self.here(), reason, by=by, is_here=True)
+        return self._lock((robot.lock_here for robot in self.here()), reason, by=by)
 
-    def _lock_boards(self, reason: str, *, by: str | None) -> None:
+    def _lock(self, robots: Iterable[Callable[..., None]], reason: str, *, by: str | None) -> list[CommandEndpoint]:
+        """Lock the boards here, and robots by these methods."""
         self.boards.lock(shown_reason(reason), loop_time_s(), by=by)
         log.warning("robots.all_locked", reason=self.boards.lock_reason)
-
-    def _lock_each(
-        self, robots: Sequence[AnyRobot], reason: str, *, by: str | None, is_here: bool = False
-    ) -> list[CommandEndpoint]:
-        """Lock robots and the boards here. `is_here`: robots of the same names at other daemons are not locked."""
         refusal = None
-        for robot in robots:
+        for lock in robots:
             try:
-                if is_here and isinstance(robot, LocalRobot):
-                    robot.lock_here(reason, by=by)
-                else:
-                    robot.lock(reason, by=by)
+                lock(reason, by=by)
             except HostlinkError as error:
                 refusal = error
         with contextlib.suppress(HostlinkError):  # it is named below

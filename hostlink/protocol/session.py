@@ -242,8 +242,7 @@ class Session:
             WrongType: the payload has not the size of the topic's type, or the topic was refused.
             FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
         """
-        info = self._endpoint("topic", topic, Id.SUBSCRIBER)
-        frame = self._encode(info, payload)
+        info, frame = self._to_topic(topic, payload)
         if is_urgent:
             self.outbox.put_urgent(info.topic_id, frame, is_kept=is_kept)
         else:
@@ -271,9 +270,7 @@ class Session:
         Raises:
             HostlinkError: as from `publish`.
         """
-        info = self._endpoint("topic", topic, Id.SUBSCRIBER)
-        self._encode(info, payload)
-        return info
+        return self._to_topic(topic, payload)[0]
 
     def service_endpoint(self, service: str, payload: bytes) -> TopicInfo:
         """Return the endpoint that takes the requests to a service of the device. It takes one as long as this one.
@@ -281,9 +278,7 @@ class Session:
         Raises:
             HostlinkError: as from `call`.
         """
-        info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
-        self._encode(info, payload)
-        return info
+        return self._to_service(service, payload)[0]
 
     def call(self, service: str, payload: bytes) -> None:
         """Queue a request to a service of the device.
@@ -294,8 +289,8 @@ class Session:
             FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
             DeviceBusy: too many requests and responses wait.
         """
-        info = self.service_endpoint(service, payload)
-        self.outbox.put_call(service, self._prompt(info, encode(info.topic_id, payload)))
+        info, frame = self._to_service(service, payload)
+        self.outbox.put_call(service, self._prompt(info, frame))
 
     def response_endpoint(self, request: TopicInfo) -> TopicInfo:
         """Return the endpoint at which the device receives the response to a request of this endpoint.
@@ -360,6 +355,16 @@ class Session:
         if info.key in self._refused:
             raise self._refused[info.key].with_traceback(None)  # otherwise the traceback grows with each raise
         return info
+
+    def _to_topic(self, topic: str, payload: bytes) -> tuple[TopicInfo, bytes]:
+        """Return the endpoint of a topic to which the device subscribes, and the frame of a message to it."""
+        info = self._endpoint("topic", topic, Id.SUBSCRIBER)
+        return info, self._encode(info, payload)
+
+    def _to_service(self, service: str, payload: bytes) -> tuple[TopicInfo, bytes]:
+        """Return the endpoint of a service of the device, and the frame of a request to it."""
+        info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
+        return info, self._encode(info, payload)
 
     def _encode(self, info: TopicInfo, payload: bytes) -> bytes:
         fixed_bytes = self._topics.fixed_bytes.get(info.key)

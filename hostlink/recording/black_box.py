@@ -201,11 +201,12 @@ class BlackBox:
             except OutOfTime:
                 return
             except OSError as error:
+                self._memory.drop_fact(fact)
                 self._note_lost(incident, error.strerror or str(error))
             else:
                 self.saved += 1
                 log.warning("incident.saved", robot=incident.robot, cause=incident.cause, file=str(path))
-        self._memory.drop_fact(self._unsaved.pop(incident))
+        del self._unsaved[incident]
         self._forget(incident.robot)
 
     def _note_lost(self, incident: Incident, reason: str) -> None:

@@ -76,10 +76,9 @@ class FolderOwner:
 
     def _close(self) -> None:
         if self._descriptor >= 0:
+            # Closing alone keeps the lock while a child that was just forked has a copy of the descriptor.
             with contextlib.suppress(OSError):  # a file system without locks
-                fcntl.flock(
-                    self._descriptor, fcntl.LOCK_UN
-                )  # a child that was just forked has a copy of the descriptor
+                fcntl.flock(self._descriptor, fcntl.LOCK_UN)
             os.close(self._descriptor)
             self._descriptor = -1
 

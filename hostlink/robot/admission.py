@@ -106,7 +106,7 @@ class Freshness:
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
 BUNCH_S = 0.01  # commands that waited for the network arrive together
-SLOW_S = 4 * BUNCH_S  # interval of sources of which that is known: two commands of a faster one often arrive together
+SLOW_S = 4 * BUNCH_S  # shortest usual interval at which that is told: a faster source often sends two together
 INTERVAL_WEIGHT = 1 / 8  # of the newest interval
 UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one

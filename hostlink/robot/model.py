@@ -51,9 +51,7 @@ _SUSPECT: Final = re.compile(
     r"|^(front|rear|back)?_?(left|right|[lr])$|^[fbr][lr]$|^m\d$",  # whole names of motors
     re.IGNORECASE,
 )
-_SPOKEN: Final = re.compile(
-    r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE
-)  # texts, characters
+_SPOKEN: Final = re.compile(r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE)  # texts
 _SERVO: Final = re.compile(
     r"servo|(?:^|[/_])arm(?![a-z])|joint|gripper|angle|position|actuat|stepper|lift|wing", re.IGNORECASE
 )

@@ -73,6 +73,11 @@ def _covariance(published: Sequence[float], variances: tuple[float, ...]) -> lis
     """Covariance from the device, otherwise a diagonal: zeros would claim that nothing is ever wrong."""
     if any(published) and all(map(math.isfinite, published)):
         return list(published)
+    return covariance_of(variances)
+
+
+def covariance_of(variances: tuple[float, ...]) -> list[float]:
+    """Return the covariance of values that do not depend on each other."""
     return [variances[row] if row == column else 0.0 for row in range(_AXES) for column in range(_AXES)]
 
 

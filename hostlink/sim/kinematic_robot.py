@@ -19,6 +19,7 @@ from hostlink.robot.kinematics import (
     SkidSteerDrive,
     Steering,
 )
+from hostlink.robot.ros_messages import POSE_VARIANCES, TWIST_VARIANCES, covariance_of
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from hostlink.sim.board import SimulatedBoard
 
@@ -47,10 +48,9 @@ ODOMETRY_MD5 = "cd5e73d190d741a2f92e81eda573aca7"
 _STAMP = Struct("<III")  # sequence number, seconds, nanoseconds
 _TIME = Struct("<II")
 _POSE = Struct("<7d")
-_VARIANCES = (1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-2)  # x, y and yaw; the others are not measured
-_COVARIANCE = Struct("<36d").pack(
-    *(each if row == at else 0.0 for row, each in enumerate(_VARIANCES) for at in range(6))
-)
+_COVARIANCE = Struct("<36d")
+_OF_POSE = _COVARIANCE.pack(*covariance_of(POSE_VARIANCES))
+_OF_TWIST = _COVARIANCE.pack(*covariance_of(TWIST_VARIANCES))
 _NS = 1_000_000_000
 
 
@@ -201,9 +201,9 @@ class KinematicRobot(SimulatedBoard):
                 _text(f"{self.name}/odom"),
                 _text(f"{self.name}/base_link"),
                 _POSE.pack(pose.x_m, pose.y_m, 0.0, 0.0, 0.0, math.sin(half_rad), math.cos(half_rad)),
-                _COVARIANCE,
+                _OF_POSE,
                 self.drive.velocity(self.wheels_m_s).encode(),
-                _COVARIANCE,
+                _OF_TWIST,
             )
         )
 

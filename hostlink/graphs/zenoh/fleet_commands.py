@@ -175,14 +175,17 @@ class FleetDrivers:
             return self._stopped(request, robots)
         if robots or name is None:  # a robot that is not here yet is stopped or locked once it is
             neighbour.stops.append(request.number)
-        reason = f"{request.reason} ({neighbour.sender.name})" if isinstance(request, Lock) else None
-        if name is None and reason is None:
-            self._hub.robots.stop_all_here(by=by)
-        elif name is None:
-            self._hub.robots.lock_all_here(reason or "", by=by)
+        if isinstance(request, Lock):
+            reason = f"{request.reason} ({neighbour.sender.name})"
+            if name is None:
+                self._hub.robots.lock_all_here(reason, by=by)
+            for robot in robots if name is not None else ():
+                robot.lock_here(reason, by=by)
         else:
-            for robot in robots:
-                robot.stop_here(by=by) if reason is None else robot.lock_here(reason, by=by)
+            if name is None:
+                self._hub.robots.stop_all_here(by=by)
+            for robot in robots if name is not None else ():
+                robot.stop_here(by=by)
         return self._stopped(request, robots)
 
     def _stopped(self, request: StopRequest, robots: list[LocalRobot]) -> FleetAnswer:
