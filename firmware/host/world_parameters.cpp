@@ -106,9 +106,10 @@ const char* read_number(const char* at, double& value) {
     exponent += is_down ? -more : more;
   }
   double power = 1.0;
-  for (int i = 0; i < (exponent < 0 ? -exponent : exponent) && i < 400; ++i) power *= 10.0;
+  double rest = 1.0;  // of the power: 17 digits of a tiny number need more than the largest double
+  for (int i = 0; i < (exponent < 0 ? -exponent : exponent) && i < 400; ++i) (i < 300 ? power : rest) *= 10.0;
   const double size = static_cast<double>(digits);
-  value = (is_negative ? -1.0 : 1.0) * (exponent < 0 ? size / power : size * power);
+  value = (is_negative ? -1.0 : 1.0) * (exponent < 0 ? size / power / rest : size * power * rest);
   return at;
 }
 

@@ -65,7 +65,8 @@ class Links:
         self._reactions: dict[type[Any], Callable[[Device, Any], None]] = {
             events.TopicsNegotiated: self._announce,
             events.TopicRefused: _log_refused_topic,
-            events.TopicsRequested: _log_request,
+            events.TopicsRequested: _note_request,
+            events.TopicsAnswered: _note_answer,
             events.ServiceRequested: lambda device, event: self.calls.accept(device.link, event),
             events.ServiceResponded: self._pass_answer,
             events.ParameterRequested: self._answer_parameter,
@@ -488,8 +489,13 @@ def _log_refused_topic(_: Device, event: events.TopicRefused) -> None:
     log.warning("topic.refused", topic=printable(event.topic.name), reason=str(event.reason))
 
 
-def _log_request(_: Device, event: events.TopicsRequested) -> None:
+def _note_request(device: Device, event: events.TopicsRequested) -> None:
+    device.presence.note_asked(asyncio.get_running_loop().time())
     log.debug("topics.requested", reason=event.reason)
+
+
+def _note_answer(device: Device, event: events.TopicsAnswered) -> None:
+    device.presence.note_answered(event.asked_at_s, device.link.received_at_s)
 
 
 def _log_protocol_1(_: Device, __: events.Protocol1Recognised) -> None:

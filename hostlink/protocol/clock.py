@@ -50,10 +50,12 @@ class DeviceClock:
         """Note that a topic request was sent."""
         self._requested_at_s = now_s
 
-    def topics_answered(self, now_s: float) -> None:
-        """Note that a TopicInfo was received."""
-        if self._requested_at_s is not None:
-            self.answer_s, self._requested_at_s = now_s - self._requested_at_s, None
+    def topics_answered(self, now_s: float) -> float | None:
+        """Note that a TopicInfo was received. If it is the first after a topic request, return when that was sent."""
+        asked_at_s, self._requested_at_s = self._requested_at_s, None
+        if asked_at_s is not None:
+            self.answer_s = now_s - asked_at_s
+        return asked_at_s
 
     def update(self, stamp_ns: int, *, at_ns: int, now_s: float) -> None:
         """Use the header stamp of a message that arrived at `at_ns`. Ignore a stamp of zero."""

@@ -31,6 +31,12 @@ class TopicsRequested(NamedTuple):
     reason: str
 
 
+class TopicsAnswered(NamedTuple):
+    """The device has begun to answer a topic request, which was sent at `asked_at_s`: it is alive."""
+
+    asked_at_s: float
+
+
 class MessageReceived(NamedTuple):
     """The device published a message."""
 
@@ -83,6 +89,7 @@ Event = (
     TopicsNegotiated
     | TopicRefused
     | TopicsRequested
+    | TopicsAnswered
     | MessageReceived
     | ServiceRequested
     | ServiceResponded

@@ -458,7 +458,9 @@ class Session:
             self.outbox.drop_messages()
             self._has_dropped = True
         self._refused.pop(info.key, None)
-        self.device_clock.topics_answered(now_s)
+        asked_at_s = self.device_clock.topics_answered(now_s)
+        if asked_at_s is not None:
+            found.append(events.TopicsAnswered(asked_at_s))
         fixed_bytes = None
         try:
             fixed_bytes = self._check(info)

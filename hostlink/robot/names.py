@@ -25,16 +25,21 @@ from hostlink.robot.parts import Membership, place_in, takes_velocity
 SURE_S = 3.0  # docs/protocol.md#time: a live device requests the time every 2.5 s
 SOONEST_S = 0.5  # longer than the project's passthrough waits before it dials again: 0.2 s
 USUAL_GAPS = 5  # a radio makes one or two late, not five
+ANSWER_S = 0.5  # a device answers a request for its topics in a turn of its loop, its line may be busy
+USUAL_ANSWERS = 3  # a device with a slow loop answers in its next turn
 _KEPT, _ENOUGH = 16, 8  # gaps; their median tolerates a few long ones
 
 
 class Presence:
     """Presence of one link. Times are monotonic, in seconds."""
 
-    __slots__ = ("_gaps_s", "received_at_s")
+    __slots__ = ("_gaps_s", "answer_s", "answered_s", "asked_at_s", "received_at_s")
 
     def __init__(self) -> None:
         self.received_at_s = -math.inf
+        self.asked_at_s = -math.inf  # when its device was asked for its topics
+        self.answered_s = -math.inf  # when the last of these requests was sent that the device answered
+        self.answer_s = 0.0  # how long that answer took
         self._gaps_s = array("d")
 
     def note_read(self, now_s: float) -> None:
@@ -44,6 +49,19 @@ class Presence:
                 self._gaps_s.append(now_s - self.received_at_s)
                 del self._gaps_s[:-_KEPT]
             self.received_at_s = now_s
+
+    def note_asked(self, now_s: float) -> None:
+        """Note that the device was asked for its topics, which a live one answers."""
+        self.asked_at_s = now_s
+
+    def note_answered(self, asked_at_s: float, now_s: float) -> None:
+        """Note that the device has begun to answer the request that was sent at `asked_at_s`."""
+        self.answered_s, self.answer_s = asked_at_s, now_s - asked_at_s
+
+    def is_without_answer(self, since_s: float, now_s: float) -> bool:
+        """Whether the device was asked after `since_s`, and is silent for longer than it takes to answer."""
+        silent_s = now_s - max(self.asked_at_s, self.received_at_s)
+        return self.asked_at_s >= since_s and silent_s >= max(ANSWER_S, USUAL_ANSWERS * self.answer_s)
 
     def is_surely_gone(self, now_s: float) -> bool:
         """Whether no device that lives is silent for so long."""
@@ -326,7 +344,6 @@ def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None
 _MARK, _MARK_TYPE = "played", "std_msgs/String"  # a topic of a recording that is played as a device
 
 LATE_S = 0.1  # what was on its way when the other device announced its topics
-ANSWER_S = 0.5  # a device answers a request for its topics in a turn of its loop, its line may be busy
 AGAIN_S = 10.0  # two that count each other as dead, because their loops are slow, do so within a few seconds
 MOVING_S = 3.0  # by then a link that died has been ended for its silence
 
@@ -381,11 +398,13 @@ class Directory:
 
     | the old link                                                | then                                              |
     |-------------------------------------------------------------|---------------------------------------------------|
-    | sends anything once the new one has announced its topics    | two devices; a robot gets a name of its own       |
+    | sends anything once the new one has announced its topics,   | two devices; a robot gets a name of its own       |
+    | or answers a request for its topics that was sent since     |                                                   |
     | silent for 3 s: a live one requests the time every 2.5 s    | the same device: the new link replaces the old    |
     | silent for 0.5 s and for five of its usual gaps             | the same device                                   |
     | else                                                        | its topics are requested, the new one waits       |
-    | silent for 0.5 s after that                                 | the same device                                   |
+    | silent after that for 0.5 s and for three times as long as  | the same device                                   |
+    | its last answer took                                        |                                                   |
 
     Where two were seen, or one was replaced less than 10 s ago, only after a silence of 3 s one counts as gone.
 
@@ -572,10 +591,10 @@ class Directory:
         unclear = []
         for link in links:
             presence = self._presences[link]
-            if presence.received_at_s > entry.since_s + LATE_S:
+            if presence.received_at_s > entry.since_s + LATE_S or presence.answered_s >= entry.since_s:
                 continue
             is_given_up = not has_twins and (
-                presence.is_probably_gone(now_s) or now_s - max(entry.since_s, presence.received_at_s) >= ANSWER_S
+                presence.is_probably_gone(now_s) or presence.is_without_answer(entry.since_s, now_s)
             )
             if is_given_up or presence.is_surely_gone(now_s):
                 return link, []

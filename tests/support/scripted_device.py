@@ -40,10 +40,11 @@ class ScriptedDevice:
         self._end.write(data)
 
     async def announce(self) -> None:
-        """Announce them, requested or not."""
+        """Announce them, requested or not. A device without any says nothing: its connection is dead."""
         for info in self.infos:
             await self.send(info.kind, encode_topic_info(info))
-        await self.send(Id.TIME, bytes(8))
+        if self.infos:
+            await self.send(Id.TIME, bytes(8))
 
     async def aclose(self) -> None:
         """Close the connection."""

@@ -322,7 +322,7 @@ def test_guard_watches_the_new_connection_of_a_robot_and_no_device_without_veloc
         old = await made.connect(peer="10.0.0.2:1")
         old.infos = []  # the device that connects again no longer answers here
         new = await made.connect(peer="10.0.0.2:2")
-        await asyncio.sleep(1.0)
+        await asyncio.sleep(2.0)
         assert made.guard.released[0] == old.link.number
         await made.connect(robot_topics()[:1], address="10.0.0.3")
         assert made.guard.watched.keys() == {new.link.number}

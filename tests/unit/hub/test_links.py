@@ -9,6 +9,7 @@ import pytest
 from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import HostlinkError, ReloadRefused
 from hostlink.hub.hub import places_of
+from hostlink.hub.robot import LocalRobot
 from hostlink.protocol.control import (
     Log,
     Parameter,
@@ -17,6 +18,7 @@ from hostlink.protocol.control import (
 )
 from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import PlanarVelocity
+from tests.support.background import meanwhile
 from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.fake_device import robot_topics, topic
 from tests.support.gates import drive_gate
@@ -135,6 +137,32 @@ def test_device_that_reconnects_replaces_its_silent_link_after_a_zero() -> None:
         assert velocities(second)[0] == (0.0, 0.0)
 
     in_hub(test)
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.5, 2.0])
+def test_driven_board_that_publishes_nothing_stays_beside_a_second_one_that_was_flashed_alike(after_s: float) -> None:
+    """The answer to a request for the topics is the only sign of life, and the board answers at once."""
+
+    async def test(made: MemoryHub) -> None:
+        topics = [topic(Id.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
+        first = await made.connect(topics, peer="10.0.0.2:1")
+        await asyncio.sleep(after_s)
+        async with meanwhile(drive_often(made.robot())):
+            await asyncio.sleep(0.2)
+            second = await made.connect(topics, peer="10.0.0.2:2")
+            await asyncio.sleep(4.0)
+            assert made.logged("link.closed") == []
+            assert made.robot().link is first.link
+            assert velocities(first)[-1] == (0.1, 0.0)
+            assert set(velocities(second)) == {(0.0, 0.0)}
+
+    in_hub(test)
+
+
+async def drive_often(robot: LocalRobot) -> None:
+    while True:
+        drive_gate(robot, SLOW, owner="ann")
+        await asyncio.sleep(0.05)
 
 
 def test_the_last_frame_of_a_replaced_link_is_a_zero_also_on_a_busy_serial_line() -> None:

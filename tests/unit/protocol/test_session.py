@@ -453,6 +453,25 @@ def test_answer_time_starts_with_the_topic_request() -> None:
     assert host.session.device_clock.answer_s == pytest.approx(0.2)
 
 
+def test_endpoint_of_a_service_takes_the_request() -> None:
+    service = TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 110, "/halt", "std_srvs/Empty", "m", 512)
+    host = Host(LED, service)
+    assert host.session.service_endpoint("/halt", b"") == service
+    assert host.sent() == []
+    with pytest.raises(UnknownTopic):
+        host.session.service_endpoint("/led", b"")
+
+
+def test_first_topic_info_after_a_request_is_an_answer() -> None:
+    host = Host()
+    assert host.receive(wire(LED), after_s=0.1) == []  # the request waits
+    host.wait(2.0)
+    host.sent()
+    asked_at_s = host.now_s
+    assert host.receive(wire(LED, TEXT), after_s=0.2) == [events.TopicsAnswered(asked_at_s)]
+    assert host.receive(wire(LED, TEXT), after_s=0.1) == []
+
+
 def test_endpoint_of_a_topic_takes_the_message() -> None:
     host = Host(LED, TEXT)
     assert host.session.endpoint_of("/led", b"\x01") == LED

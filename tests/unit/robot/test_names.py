@@ -59,7 +59,10 @@ class Clocked:
         self.now_s = 0.0
 
     def claim(self, link: int, address: str, topics: list[Endpoint], *, port: int = 0) -> Accepted | Undecided:
-        return self.directory.claim(link, address, topics, now_s=self.now_s, peer=f"{address}:{port}")
+        claim = self.directory.claim(link, address, topics, now_s=self.now_s, peer=f"{address}:{port}")
+        for rival in claim.probe if isinstance(claim, Undecided) else ():
+            self.directory.presence(rival).note_asked(self.now_s)
+        return claim
 
     def leave(self, link: int) -> None:
         self.directory.leave(link)
@@ -267,6 +270,47 @@ def test_device_that_seldom_sends_gets_a_request_and_stays_if_it_answers() -> No
     ours.now_s += 0.3
     ours.directory.presence(1).note_read(ours.now_s)
     assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0_2"
+
+
+def test_device_that_answers_at_once_and_says_nothing_else_stays() -> None:
+    """A board that publishes nothing: its answer arrives sooner than what was on its way from a dead link might."""
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.now_s += 1.0
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=(1,))
+    ours.directory.presence(1).note_read(ours.now_s + 0.01)
+    ours.directory.presence(1).note_answered(ours.now_s, ours.now_s + 0.01)
+    claim = ours.claim(2, HOME, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert (claim.robot.name, claim.replaces) == ("robot_0_2", None)
+
+
+def test_answer_to_a_request_that_was_sent_earlier_proves_nothing() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.directory.presence(1).note_answered(ours.now_s, ours.now_s + 1.0)
+    ours.now_s += 1.0
+    assert isinstance(ours.claim(2, HOME, paper_robot()), Undecided)
+    ours.now_s += ANSWER_S + 2.0
+    assert accepted(ours, 2, HOME, paper_robot()) == ("robot_0", 1)
+
+
+def test_silence_counts_from_the_request_for_the_topics_and_a_device_with_a_slow_loop_has_longer() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    old = ours.directory.presence(1)
+    old.note_read(ours.now_s)
+    old.note_answered(ours.now_s - 0.4, ours.now_s)
+    assert isinstance(ours.claim(2, HOME, paper_robot()), Undecided)
+    ours.now_s += 0.9
+    old.note_asked(ours.now_s)  # the request had to wait for the one before
+    for _ in range(2):
+        ours.now_s += 0.55
+        assert isinstance(ours.claim(2, HOME, paper_robot()), Undecided)
+    ours.now_s += 0.2
+    claim = ours.claim(2, HOME, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert claim.replaces == 1
 
 
 def test_device_without_answer_counts_as_disconnected() -> None:

@@ -71,6 +71,12 @@ def test_equal_worlds_are_equal_after_a_pickle() -> None:
     assert world != WorldParameters({"seed": 3})
 
 
+@pytest.mark.parametrize("seed", [4.0312345678901234e-294, 1.2345678901234567e-307, 2.2250738585072014e-308, 5e-324])
+def test_tiny_number_is_read_as_it_was_written(seed: float) -> None:
+    (value, *_) = read(f"seed={seed!r}\n").checked_values()
+    assert value == pytest.approx(seed, rel=1e-14, abs=0)
+
+
 near_numbers = st.text("0123456789.+-eE x", max_size=8)
 near_lines = st.one_of(
     st.builds("{}={}".format, st.sampled_from([*NAMES, "track", "left", "", "#"]), near_numbers),
