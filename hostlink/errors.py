@@ -7,7 +7,9 @@ import sys
 from collections.abc import Hashable, Iterable
 from enum import StrEnum
 from pathlib import Path
-from typing import Final, Self
+from typing import Final, Self, TypeVar
+
+Kept = TypeVar("Kept", bound=BaseException)
 
 
 def system_text(error: OSError) -> str:
@@ -231,3 +233,9 @@ class NothingArrived(HostlinkError):
     def __init__(self, topic: str, timeout_s: float) -> None:
         super().__init__(f"{topic}: no message arrived for {timeout_s:g} s; `hostlink topics` shows who publishes it")
         self.topic, self.timeout_s = topic, timeout_s
+
+
+def without_frames(error: Kept) -> Kept:
+    """Forget where an error was raised and why. The frames have what keeps the error: a reference cycle."""
+    error.__traceback__ = error.__cause__ = error.__context__ = None
+    return error

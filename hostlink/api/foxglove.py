@@ -48,7 +48,7 @@ from hostlink.api.foxglove_protocol import (
 from hostlink.api.rosapi import Parameters
 from hostlink.api.views import node_name, receivers
 from hostlink.config import ParameterValue
-from hostlink.errors import BadPayload, BadRequest, HostlinkError
+from hostlink.errors import BadPayload, BadRequest, HostlinkError, without_frames
 from hostlink.hub.byte_budget import Share
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
@@ -546,7 +546,7 @@ class FoxgloveClient:
         try:
             content = decode_request(data) if isinstance(data, str) else decode_frame(data)
         except BadRequest as error:
-            return Operation(error, came_s)
+            return Operation(without_frames(error), came_s)
         if not isinstance(content, Published) or (channel := self._advertised.get(content.channel_id)) is None:
             return Operation(content, came_s)
         velocity_of, is_zero = velocity_of_payload(self._hub.topics.find_or_none(channel.topic), content.payload)
@@ -556,8 +556,8 @@ class FoxgloveClient:
         """Execute a decoded message. An error becomes a status and is never raised."""
         try:
             match operation.content:
-                case BadRequest() as error:
-                    raise error
+                case BadRequest() as refused:  # raising it again would form a reference cycle
+                    self._put_status(_ERROR, str(refused))
                 case Published() as published:
                     self._publish(published, operation.came_s)
                 case ServiceCall() as call:

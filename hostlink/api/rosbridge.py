@@ -30,7 +30,7 @@ from hostlink.api.clients import (
     velocity_of_payload,
 )
 from hostlink.api.views import velocity_answer
-from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, ServiceFailed
+from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, ServiceFailed, without_frames
 from hostlink.hub.byte_budget import Share
 from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
@@ -863,7 +863,7 @@ class RosbridgeClient:
         try:
             request = Request(data)
         except BadRequest as error:
-            return Operation(error, came_s)
+            return Operation(without_frames(error), came_s)
         request.came_s = came_s
         velocity_of, is_zero = velocity_of_request(request, self._hub.topics)
         return Operation(request, came_s, velocity_of, is_zero)

@@ -46,7 +46,7 @@ from hostlink.api.routes import (
 from hostlink.api.web_socket import ClientSocket, close_going_away
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import ApiConfig, Config
-from hostlink.errors import ConfigError
+from hostlink.errors import ConfigError, without_frames
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.reloader import Reloader
@@ -81,7 +81,6 @@ async def page_file(request: web.Request) -> web.StreamResponse:
 
 log = structlog.get_logger()
 
-PING_INTERVAL_S = 10.0  # a lost client is noticed within 1.5 intervals
 SHUTDOWN_TIMEOUT_S = 0.3
 LINGER_S = 1.0  # for an unexpected body, before its connection is closed
 REQUEST_S = 0.0005  # cost of a small request
@@ -253,7 +252,6 @@ class ApiServer:
         queue = ClientQueue(self._hub.budget)
         client = self._clients.enter(kind, request, queue)
         socket = web.WebSocketResponse(
-            heartbeat=PING_INTERVAL_S,
             autoping=False,
             max_msg_size=self._config.max_message_bytes,
             compress=False,
@@ -288,7 +286,9 @@ class ApiServer:
             finally:
                 self._sockets.discard(socket)
                 self._clients.leave(client)
-                queue.clear()
+                queue.release()
+                if (error := socket.exception()) is not None:
+                    without_frames(error)
                 if request.transport is not None and request.transport.get_write_buffer_size():
                     request.transport.abort()  # closing would wait without end for a client that does not read
                 log.info("client.closed", code=socket.close_code, dropped=queue.dropped)

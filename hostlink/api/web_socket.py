@@ -22,6 +22,7 @@ log = structlog.get_logger()
 DEBT_S = 1.0  # that a client may be ahead of its message rate: programs subscribe to many topics at first
 # Without progress in writing the client is disconnected. Some kernels report that a program reads 24 kB/s each 5 s.
 SEND_TIMEOUT_S = 10.0
+PING_INTERVAL_S = 10.0  # without a byte from the client; half of it later it counts as lost
 READY_TIMEOUT_S = 1.0  # for the answer to the first ping; after that messages are sent without an answer
 SEND_BATCH = 64  # messages in one write
 CLOSING = (WSMsgType.CLOSE, WSMsgType.CLOSING, WSMsgType.CLOSED)
@@ -76,6 +77,7 @@ class ClientSocket:
         self._full_s = 0.0  # when the transport's buffer filled
         self._pong: bytes | None = None  # payload of the last ping that is not answered
         self._pong_timer: asyncio.TimerHandle | None = None
+        self._alive_timer: asyncio.TimerHandle | None = None
         queue.on_news = self._note_news
         reading.become_web_socket(on_read=self._expect_work, on_full=self._note_full, on_writable=self._note_writable)
 
@@ -84,6 +86,7 @@ class ClientSocket:
     async def receive(self) -> None:
         """Receive until the client disconnects, then end its participant."""
         operations, loop, reading = self._operations, self._loop, self._reading
+        self._watch_silence(reading.reads)
         try:
             if self._is_ready:
                 self._note_news()
@@ -120,7 +123,7 @@ class ClientSocket:
                     reading.give_room()
         finally:
             self._is_ended = True
-            for timer in (self._flush_timer, self._stuck_timer, self._pong_timer):
+            for timer in (self._flush_timer, self._stuck_timer, self._pong_timer, self._alive_timer):
                 if timer is not None:
                     timer.cancel()
             reading.leave_web_socket()
@@ -298,6 +301,23 @@ class ClientSocket:
             self._pong_timer.cancel()
             self._pong_timer = None
             self._note_news()
+
+    def _watch_silence(self, reads: int, *, is_pinged: bool = False) -> None:
+        """Ping a client that is silent, then disconnect it. aiohttp would do so, but leave a reference cycle behind."""
+        wait_s = PING_INTERVAL_S / 2 if is_pinged else PING_INTERVAL_S
+        self._alive_timer = self._loop.call_later(wait_s, self._check_silence, reads, is_pinged, context=self._context)
+
+    def _check_silence(self, reads: int, is_pinged: bool) -> None:
+        if self._is_ended or self._transport.is_closing():
+            return
+        if self._reading.reads > reads:
+            self._watch_silence(self._reading.reads)
+        elif is_pinged:
+            self._fail(TimeoutError("it answers no ping"))
+        else:
+            if not self._reading.is_writing_paused:  # otherwise it is known to be stuck
+                self._transport.write(_control_frame(_PING, b""))
+            self._watch_silence(reads, is_pinged=True)
 
     # -- its end ------------------------------------------------------------------------------------------------------
 

@@ -333,7 +333,8 @@ def reload_signal(reloader: Reloader) -> Iterator[None]:
 
 CHECK_INTERVAL_S = 1.0
 WHOLE_INTERVAL_S = 60.0  # between two looks at all objects while little is freed: 0.25 s with a thousand robots
-REST_S = 10.0  # before it is looked at each second: 0.07 s of the loop, for which a stop between two drives may wait
+REST_S = 10.0  # before all objects are looked at: a stop between two drives would wait for that long
+RESTLESS_S = 600.0  # between two such looks while robots never rest for so long
 ENOUGH = 20  # collections of the younger generation: about a hundred connections since the last full one
 WORTH = 1000  # collected objects: those of a dozen connections
 
@@ -342,8 +343,8 @@ async def collect_while_idle(robots: Robots) -> None:
     """Collect garbage while nothing moves, until cancelled.
 
     Many robots make enough objects for a collection each second, but leave no cycles behind. The objects that such a
-    collection leaves are therefore not looked at again before WHOLE_INTERVAL_S, or before a collection frees much
-    while all robots have been at rest for REST_S.
+    collection leaves are therefore not looked at again before WHOLE_INTERVAL_S, or before a collection frees much;
+    and only while all robots have been at rest for REST_S, or after RESTLESS_S.
     """
     now_s = asyncio.get_running_loop().time
     whole_at_s = rested_at_s = now_s()
@@ -353,7 +354,8 @@ async def collect_while_idle(robots: Robots) -> None:
         if robots.may_move(now_s()):
             rested_at_s = now_s() + REST_S
             continue
-        is_whole = now_s() >= whole_at_s or (has_freed_much and now_s() >= rested_at_s)
+        is_due = now_s() >= whole_at_s or has_freed_much
+        is_whole = (is_due and now_s() >= rested_at_s) or now_s() >= whole_at_s + RESTLESS_S
         has_worked = gc.get_count()[2] >= ENOUGH
         if not has_worked and not (is_left and is_whole):
             continue

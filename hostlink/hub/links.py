@@ -310,7 +310,7 @@ class Links:
         """Request the topics of other links that may be the same device, and identify this one again soon."""
         for number in claim.probe:
             rival = self._devices[number].link
-            rival.session.request_topics("claimed_twice")
+            rival.session.probe()
             rival.wake()
         if not device.is_undecided:
             device.is_undecided = True

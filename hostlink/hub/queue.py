@@ -48,8 +48,8 @@ class Queue(Generic[Item]):
         self._topics: dict[str, deque[Waiting[Item]]] = {}
         self._bytes_of: dict[str, int] = {}  # by topic
         self._results: deque[Waiting[Item]] = deque()
-        self.on_news: Callable[[], None] = lambda: None  # set by the owner, who then pops
-        self.on_dropped: Callable[[str], None] = lambda _: None  # set by the owner; called with the topic
+        self.on_news: Callable[[], None] = _ignore_news  # set by the owner, who then pops
+        self.on_dropped: Callable[[str], None] = _ignore_dropped  # set by the owner; called with the topic
         self._room = asyncio.Event()
         self._room.set()
 
@@ -148,6 +148,11 @@ class Queue(Generic[Item]):
         while self.pop() is not None:
             continue
 
+    def release(self) -> None:
+        """Remove all items, and forget the owner: it and the queue are a reference cycle."""
+        self.clear()
+        self.on_news, self.on_dropped = _ignore_news, _ignore_dropped
+
     def wake(self) -> None:
         """Tell the owner that a time limit has changed."""
         self.on_news()
@@ -194,3 +199,11 @@ class Queue(Generic[Item]):
         self._bytes -= oldest.size_bytes
         self._share.held_bytes -= oldest.size_bytes
         return oldest
+
+
+def _ignore_news() -> None:
+    """Stand for an owner who pops."""
+
+
+def _ignore_dropped(_: str) -> None:
+    """Stand for an owner who is told."""

@@ -15,6 +15,7 @@ SILENCE_S = 5.0  # two missed time requests: one is due every 2.5 s
 QUIET_S = 3.5  # without a byte, one time request missed: a restarted device behind a radio waits for a topic request
 TIME_PERIOD_S = (1.0, 4.0)  # between two time requests: 2.5 s, plus a slow loop; a negotiation sends two at once
 MAX_PARTS = 8  # parts of one negotiation that are announced at once; further parts wait for a pause
+PROBE = "probe"  # reason of a request whose answer shows that the device is alive
 MAX_SAME_REQUESTS = 3  # for one gap or one unknown id; a device that has not corrected it by then never will
 
 
@@ -61,13 +62,13 @@ class NegotiationScheduler:
     |             | no byte for 3.5 s from a device that requests the time; on a lossy transport 2 s after changed    |
     |             | topics, but not while the device waits for a service                                              |
 
-    A request waits until the last one is REQUEST_INTERVAL_S old.
+    A request waits until the last one is REQUEST_INTERVAL_S old. A probe waits only for the last probe.
     """
 
     __slots__ = (
-        "_calls_until_s", "_is_damaged", "_is_unconfirmed", "_last_time_request_s", "_parts", "_requested_at_s",
-        "_same_requests", "_time_requested_at_s", "_topic_info_at_s", "_turn_s", "is_regular", "pending",
-        "received_at_s", "state",
+        "_calls_until_s", "_is_damaged", "_is_unconfirmed", "_last_time_request_s", "_parts", "_probed_at_s",
+        "_requested_at_s", "_same_requests", "_time_requested_at_s", "_topic_info_at_s", "_turn_s", "is_regular",
+        "pending", "received_at_s", "state",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -82,7 +83,7 @@ class NegotiationScheduler:
         self._parts = 1  # parts of this negotiation; messages follow each part
         self._time_requested_at_s = 0.0  # last time request or TopicInfo, or the topic request that replaced it
         self._last_time_request_s = float("-inf")
-        self._requested_at_s = float("-inf")
+        self._requested_at_s = self._probed_at_s = float("-inf")
         self.pending: str | None = None  # reason of the next topic request
         self._same_requests: Counter[object] = Counter()
 
@@ -140,6 +141,10 @@ class NegotiationScheduler:
     def request(self, reason: str) -> None:
         """Schedule a topic request, without a limit on repetitions."""
         self.pending = self.pending or reason
+
+    def probe(self) -> None:
+        """Schedule a topic request to find out whether the device is alive."""
+        self.pending = PROBE
 
     def request_about(self, cause: object, reason: str) -> None:
         """Schedule a topic request, at most MAX_SAME_REQUESTS times for one cause."""
@@ -206,10 +211,12 @@ class NegotiationScheduler:
         """Return the reason to request topics now. None: no request is scheduled, or the last one is too recent."""
         if self.pending is None or self.state is SessionState.NEGOTIATING:
             return None
-        if now_s < self._requested_at_s + REQUEST_INTERVAL_S:
+        if now_s < self._may_request_at_s():
             return None
         reason, self.pending = self.pending, None
         self._requested_at_s = now_s
+        if reason == PROBE:
+            self._probed_at_s = now_s
         self._step(NegotiationStep.REQUESTED)
         return reason
 
@@ -218,7 +225,7 @@ class NegotiationScheduler:
         if self.state is SessionState.NEGOTIATING:
             return self._topic_info_at_s + self._quiet_s
         if self.pending is not None:
-            return self._requested_at_s + REQUEST_INTERVAL_S
+            return self._may_request_at_s()
         if self.state is SessionState.REQUESTING:
             return self._requested_at_s + self._answer_s
         if self._is_unconfirmed:
@@ -227,6 +234,10 @@ class NegotiationScheduler:
 
     def _step(self, step: NegotiationStep) -> None:
         self.state = TRANSITIONS[self.state][step]
+
+    def _may_request_at_s(self) -> float:
+        is_prompt = self.pending == PROBE and self.state is SessionState.READY  # it has answered the last request
+        return (self._probed_at_s if is_prompt else self._requested_at_s) + REQUEST_INTERVAL_S
 
     def _confirm_at_s(self) -> float:
         return max(self._topic_info_at_s + CONFIRM_S, self._calls_until_s)

@@ -226,9 +226,9 @@ class Session:
         """Number of rejected frame starts, by cause."""
         return {cause.value: count for cause, count in self._stream.rejected.items()}
 
-    def request_topics(self, reason: str) -> None:
-        """Request the topics as soon as REQUEST_INTERVAL_S allows. A working device answers."""
-        self.negotiation.request(reason)
+    def probe(self) -> None:
+        """Ask something that a working device answers (TopicsAnswered), once in REQUEST_INTERVAL_S."""
+        self.negotiation.probe()
 
     # -- what the hub sends -------------------------------------------------------------------------------------------
 

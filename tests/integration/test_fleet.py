@@ -209,7 +209,7 @@ async def test_a_robot_that_drives_and_announces_its_topics_without_its_velocity
         await expect(lambda: host.hub.robots.find("robot_0").link)
         driving = tasks.create_task(drive())
         link = host.hub.links.all()[0]
-        link.session.request_topics("test")
+        link.session.probe()
         link.wake()
         for _ in range(MAX_MISSED):
             assert not driving.done()

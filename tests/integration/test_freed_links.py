@@ -1,4 +1,4 @@
-"""Memory of an ended link is freed with it: a garbage collection that stops the loop for 50 ms finds little."""
+"""Memory of an ended link or client is freed with it: a collection that stops the loop for 50 ms finds little."""
 
 import asyncio
 import gc
@@ -8,17 +8,22 @@ from typing import NamedTuple
 
 import pytest
 
+from hostlink.api.clients import ClientQueue
+from hostlink.api.foxglove import FoxgloveClient
+from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.hub.diagnoses import ENDED_LINKS
 from hostlink.hub.topic import Topic
 from hostlink.link.link import Link
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.session import Session
+from tests.support.api_loads import frame, operation, websocket_head
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import robot_topics
 from tests.support.waiting import expect
 
 TIME = encode(Id.TIME, bytes(8))
+CLOSE = frame((1000).to_bytes(2, "big"), 8)
 
 
 class Left(NamedTuple):
@@ -78,5 +83,36 @@ async def test_a_link_that_has_ended_is_freed_without_the_garbage_collector(is_r
             await expect(lambda: link_number not in left(before).links)
             await expect(lambda: topic not in left(before).topics)
             await expect(lambda: left(before).sessions <= ENDED_LINKS)
+        finally:
+            gc.enable()
+
+
+def clients_in_memory() -> int:
+    return sum(type(each) in (RosbridgeClient, FoxgloveClient, ClientQueue) for each in gc.get_objects())
+
+
+@pytest.mark.parametrize("protocol", [(), ("Sec-WebSocket-Protocol: foxglove.sdk.v1",)])
+@pytest.mark.parametrize("is_reset", [False, True])
+async def test_a_client_that_has_left_is_freed_without_the_garbage_collector(
+    is_reset: bool, protocol: tuple[str, ...]
+) -> None:
+    """One that leaves before it has read the answers, and one that says goodbye."""
+    async with daemon() as host:
+        gc.collect()
+        gc.disable()
+        try:
+            before = clients_in_memory()
+            reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
+            writer.write(websocket_head("", *protocol))
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(b"".join(operation(op="advertise", topic=f"/a{i}", type="std_msgs/String") for i in range(50)))
+            await expect(lambda: clients_in_memory() > before)
+            if is_reset:
+                writer.transport.abort()
+            else:
+                writer.write(CLOSE)
+                await reader.read()
+                writer.close()
+            await expect(lambda: clients_in_memory() == before)
         finally:
             gc.enable()

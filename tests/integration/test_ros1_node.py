@@ -155,7 +155,7 @@ async def test_latched_odometry_reset_is_not_repeated_to_device_that_announces_a
     program.publish("/text", OLD)
     assert (await made.robot.frame(101), await made.robot.frame(102)) == (b"", OLD)
     link = made.daemon.hub.links.all()[0]
-    link.session.request_topics("test")
+    link.session.probe()
     link.wake()
     await made.robot.announce([*robot_topics(), TEXT])
     found = [frame.topic_id for frame in [await made.robot.next() for _ in range(1)]]

@@ -40,7 +40,7 @@ def test_endpoint_is_removed_after_three_announcements_without_it(
     for parts in story:
         announced = {info for info, _ in parts}
         host.receive(TIME)  # not silent, which would cause a request
-        host.session.request_topics("claimed_twice")
+        host.session.probe()
         host.events = host.session.tick(now_s=host.now_s)
         while not host.requests():  # no request between the parts of an announcement
             host.wait(0.05)

@@ -56,11 +56,11 @@ def operation(**request: object) -> bytes:
     return frame(json.dumps(request).encode())
 
 
-def websocket_head(token: str) -> bytes:
-    """The request of a WebSocket."""
+def websocket_head(token: str, *more: str) -> bytes:
+    """The request of a WebSocket, with more header lines."""
     key = base64.b64encode(bytes(16)).decode()
     upgrade = ("Upgrade: websocket", "Connection: Upgrade", f"Sec-WebSocket-Key: {key}", "Sec-WebSocket-Version: 13")
-    return head("GET", "/", token, *upgrade)
+    return head("GET", "/", token, *upgrade, *more)
 
 
 # -- loads ------------------------------------------------------------------------------------------------------------

@@ -12,7 +12,14 @@ from structlog.testing import capture_logs
 
 from hostlink.api.clients import MAX_MESSAGES, Client, ClientQueue, Operation, Outgoing, VelocityOf
 from hostlink.api.listener import PacedReading
-from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, ClientSocket, frame_head
+from hostlink.api.web_socket import (
+    PING_INTERVAL_S,
+    READY_TIMEOUT_S,
+    SEND_BATCH,
+    SEND_TIMEOUT_S,
+    ClientSocket,
+    frame_head,
+)
 from hostlink.api.write_pace import LEAST_BYTES, SLOW_S, WRITE_BYTES
 from hostlink.config import ApiConfig, Config
 from hostlink.hub.hub import Hub
@@ -290,6 +297,7 @@ def test_client_that_does_not_read_is_disconnected() -> None:
             await asyncio.sleep(SEND_TIMEOUT_S - 0.1)
             client.socket.on_writable()
             client.socket.is_writing_paused = False
+            client.socket.reads += 1  # it sends something
             client.queue.put_message("topic", Outgoing(b"x"))
             await asyncio.sleep(SEND_TIMEOUT_S + 0.1)
             raise AssertionError("it was not cut off")
@@ -297,6 +305,26 @@ def test_client_that_does_not_read_is_disconnected() -> None:
     with pytest.raises(ExceptionGroup) as caught:
         run_virtual(run())
     assert caught.group_contains(TimeoutError, match="it does not read")
+
+
+def test_client_that_is_silent_is_pinged_and_then_disconnected() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            await asyncio.sleep(PING_INTERVAL_S / 2)
+            client.socket.reads += 1
+            await asyncio.sleep(PING_INTERVAL_S)
+            assert client.socket.written == []
+            await asyncio.sleep(PING_INTERVAL_S / 2 + 0.1)
+            assert client.socket.written == [b"\x89\x00"]
+            client.socket.reads += 1  # its pong
+            await asyncio.sleep(1.5 * PING_INTERVAL_S)
+            assert client.socket.written == [b"\x89\x00"] * 2
+            await asyncio.sleep(PING_INTERVAL_S / 2)
+            raise AssertionError("it was not cut off")
+
+    with pytest.raises(ExceptionGroup) as caught:
+        run_virtual(run())
+    assert caught.group_contains(TimeoutError, match="it answers no ping")
 
 
 def test_client_with_too_many_answers_is_closed_and_logged() -> None:
@@ -448,7 +476,9 @@ def test_slow_client_that_answers_no_ping_is_sent_all_after_a_while() -> None:
             client.socket.fill(for_s=SLOW_S)
             for _ in range(20):
                 client.queue.put_message("topic", Outgoing(bytes(LEAST_BYTES)))
-            await asyncio.sleep(SEND_TIMEOUT_S)
+            await asyncio.sleep(SEND_TIMEOUT_S / 2)
+            client.socket.reads += 1  # it sends something
+            await asyncio.sleep(SEND_TIMEOUT_S / 2)
             assert len(client.socket.written) == 1
             await asyncio.sleep(1.0)
             assert client.queue.waiting_messages == 0
@@ -501,7 +531,7 @@ def test_throttled_message_is_sent_when_due() -> None:
             client.program.held_back = [(now_s + 2.0, "late"), (now_s + 1.0, "soon")]
             client.queue.wake()
             await asyncio.sleep(0.9)
-            assert client.written() == []
+            assert client.socket.written == []
             await asyncio.sleep(0.2)
             assert client.written() == [b"soon"]
             await asyncio.sleep(1.0)

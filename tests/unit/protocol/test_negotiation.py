@@ -4,6 +4,7 @@ import itertools
 
 import pytest
 
+from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.negotiation import (
@@ -105,10 +106,23 @@ def test_request_during_a_negotiation_is_satisfied_by_it() -> None:
     host = Host(ODOMETRY)
     host.wait(2.0)
     host.receive(wire(ODOMETRY))
-    host.session.request_topics("claimed_twice")
+    host.session.probe()
     assert host.wait(0.45) == []
     host.wait(1.0)
     assert host.requests() == []
+
+
+def test_probe_waits_for_no_request_but_the_last_probe() -> None:
+    host = Host(ODOMETRY)
+    host.session.probe()
+    assert host.session.tick(now_s=host.now_s) == [events.TopicsRequested("probe")]
+    host.session.probe()
+    assert host.session.tick(now_s=host.now_s) == []  # the device has not answered yet
+    host.receive(wire(ODOMETRY) + TIME, after_s=0.1)
+    host.session.probe()
+    assert host.wait(0.8) == []
+    host.wait(0.2)
+    assert host.requests() == ["probe"]
 
 
 def test_unknown_id_causes_no_request_after_the_negotiation() -> None:
@@ -158,8 +172,8 @@ def test_loss_in_a_confirming_answer_causes_a_request() -> None:
 
 def test_request_for_another_cause_confirms_the_topics() -> None:
     host = Host(ODOMETRY, LED, is_lossy=True)
-    host.session.request_topics("claimed_twice")
-    assert requests_while_it_publishes(host, 1.5) == ["claimed_twice"]
+    host.session.probe()
+    assert requests_while_it_publishes(host, 1.5) == ["probe"]
     host.receive(TIME + wire(ODOMETRY, LED) + TIME)
     assert requests_while_it_publishes(host, 10.0) == []
 

@@ -83,7 +83,8 @@ def test_announcement_in_parts_counts_as_one_negotiation() -> None:
     """Each part ends with a time request. Three parts must not count as three negotiations without the last topic."""
     topics = [ODOMETRY, TEXT._replace(topic_id=101), SERVICE._replace(topic_id=102), LED]
     host = Host(*topics)
-    host.session.request_topics("claimed_twice")
+    host.session.probe()
+    assert host.session.tick(now_s=host.now_s) == [events.TopicsRequested("probe")]
     host.wait(1.1)
     for info in topics:
         host.receive(wire(info) + TIME)

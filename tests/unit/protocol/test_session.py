@@ -55,7 +55,7 @@ def test_session_is_steady_except_during_a_negotiation_a_due_request_and_a_part_
     assert not host.session.is_steady
     host.receive(frame[9:])
     assert host.session.is_steady
-    host.session.request_topics("a test")
+    host.session.probe()
     assert not host.session.is_steady
 
 

@@ -91,12 +91,12 @@ def test_bound_is_a_setting() -> None:
     assert session.topics == (LED,)
 
 
-def test_request_topics_repeats_the_negotiation_of_a_ready_device() -> None:
+def test_probe_repeats_the_negotiation_of_a_ready_device() -> None:
     host = Host(LED)
     host.wait(2.0)
-    host.session.request_topics("claimed_twice")
+    host.session.probe()
     assert host.session.deadline_s() <= host.now_s
-    assert host.session.tick(now_s=host.now_s) == [events.TopicsRequested("claimed_twice")]
+    assert host.session.tick(now_s=host.now_s) == [events.TopicsRequested("probe")]
 
 
 def test_removed_endpoint_has_no_fixed_size_any_longer() -> None:
