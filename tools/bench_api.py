@@ -21,8 +21,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
 from tools.bench import Row, memory_mib, p99, parser, report
 
 POSE_MD5 = "938fa65709584ad8e77d238529be13b8"
@@ -225,8 +226,8 @@ async def device(to: Server) -> AsyncIterator[asyncio.StreamWriter]:
     """A device with poses and images."""
     _, writer = await asyncio.open_connection(*to.device)
     infos = (
-        TopicInfo(Id.PUBLISHER, 125, "/bench", "geometry_msgs/Pose2D", POSE_MD5, 512),
-        TopicInfo(Id.PUBLISHER, 126, "/image", "std_msgs/UInt8MultiArray", IMAGE_MD5, 512),
+        DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/bench", "geometry_msgs/Pose2D", POSE_MD5, 512),
+        DeviceEndpoint(EndpointKind.PUBLISHER, 126, "/image", "std_msgs/UInt8MultiArray", IMAGE_MD5, 512),
     )
     hello = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
     writer.write(TIME + hello + TIME)

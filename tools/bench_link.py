@@ -23,9 +23,10 @@ from hostlink.cli.serve_command import loop_factory
 from hostlink.config import ApiConfig, Config, TcpConfig
 from hostlink.errors import UnknownTopic
 from hostlink.hub.hub import Hub
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import HEADER, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import HEADER, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from tools.bench import Row, p99, parser, report
 
 POSE_MD5 = "938fa65709584ad8e77d238529be13b8"
@@ -154,7 +155,7 @@ async def flooding(
 ) -> AsyncIterator[Callable[[], Awaitable[None]]]:
     """A device in another process that announces a topic and, when told, sends it as fast as TCP takes it."""
     type_name, md5 = ("geometry_msgs/Pose2D", POSE_MD5) if payload is PAYLOAD else ("std_msgs/String", STRING_MD5)
-    info = TopicInfo(Id.PUBLISHER, 125, topic, type_name, md5, max(512, len(payload) + 8))
+    info = DeviceEndpoint(EndpointKind.PUBLISHER, 125, topic, type_name, md5, max(512, len(payload) + 8))
     hello = encode(Id.TIME, bytes(8)) + encode(Id.PUBLISHER, encode_topic_info(info)) + encode(Id.TIME, bytes(8))
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-c", FLOOD, host, str(port), encode(125, payload).hex(), hello.hex(), str(frames),
@@ -278,7 +279,7 @@ async def websocket_flood(hub: Hub, api: str, host: str, port: int, frames: int,
 async def to_device(hub: Hub, api: str, host: str, port: int) -> list[float]:
     """From a client's send to the device's read, a hundred times a second."""
     reader, writer = await asyncio.open_connection(host, port)
-    info = TopicInfo(Id.SUBSCRIBER, 100, "/bench_in", "geometry_msgs/Twist", TWIST_MD5, 512)
+    info = DeviceEndpoint(EndpointKind.SUBSCRIBER, 100, "/bench_in", "geometry_msgs/Twist", TWIST_MD5, 512)
     writer.write(encode(Id.TIME, bytes(8)) + encode(Id.SUBSCRIBER, encode_topic_info(info)) + encode(Id.TIME, bytes(8)))
     latencies = []
     async with aiohttp.ClientSession() as session, session.ws_connect(api) as socket:

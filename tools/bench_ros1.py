@@ -17,9 +17,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.fake_device import topic
 from tests.support.ros1.debian import Graph, graph
 from tools.bench import Row, p99, parser, report
@@ -92,7 +93,7 @@ class Device:
         self._socket = socket.create_connection(address)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._stream = FrameStream()
-        infos = [topic(Id.PUBLISHER, 125, UP, FLOAT), topic(Id.SUBSCRIBER, 100, DOWN, FLOAT)]
+        infos = [topic(EndpointKind.PUBLISHER, 125, UP, FLOAT), topic(EndpointKind.SUBSCRIBER, 100, DOWN, FLOAT)]
         self._hello = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos) + TIME
         self._read()
 

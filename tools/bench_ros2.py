@@ -16,7 +16,8 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # tests.support has the peers
 
 from hostlink import logs
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 from tests.support.process import serve
 from tests.support.ros2 import Peer, bridge, domain, peer
@@ -29,8 +30,8 @@ SKIPPED = 50  # with the first messages much is made that stays
 TIMEOUT_S = 120.0
 LATEST_S = 3.0
 TIME_EVERY = 250  # messages
-SERVO = topic(Id.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
-SENSOR = topic(Id.PUBLISHER, 126, "/robot_0/sensor", "std_msgs/Float64")
+SERVO = topic(EndpointKind.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
+SENSOR = topic(EndpointKind.PUBLISHER, 126, "/robot_0/sensor", "std_msgs/Float64")
 FLOAT64 = "std_msgs/msg/Float64"
 
 

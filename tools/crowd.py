@@ -27,8 +27,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import TOPICS_REQUEST, Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
 
 RATE_HZ = 10
 TURNS_A_PERIOD = 50  # the devices speak in so many groups, one after another
@@ -85,7 +86,9 @@ def hello(name: str, *, has_battery: bool = False) -> bytes:
         found = CATALOG.message(type_name)
         assert found is not None  # noqa: S101 - of the store that the project is built on
         infos.append(
-            encode(kind, encode_topic_info(TopicInfo(kind, topic_id, f"/{name}/{topic}", type_name, found.md5, 512)))
+            encode(
+                kind, encode_topic_info(DeviceEndpoint(kind, topic_id, f"/{name}/{topic}", type_name, found.md5, 512))
+            )
         )
     return TIME + b"".join(infos) + TIME
 
@@ -248,7 +251,7 @@ async def _drain(reader: asyncio.StreamReader) -> None:
 def topic_infos(count: int) -> bytes:
     """Return TopicInfos with md5 sums that no type has."""
     infos = (
-        TopicInfo(Id.PUBLISHER, 125 + number, f"/flood/{number}", "geometry_msgs/Pose2D", "0" * 32, 512)
+        DeviceEndpoint(EndpointKind.PUBLISHER, 125 + number, f"/flood/{number}", "geometry_msgs/Pose2D", "0" * 32, 512)
         for number in range(count)
     )
     return b"".join(encode(Id.PUBLISHER, encode_topic_info(info)) for info in infos)

@@ -326,7 +326,7 @@ def topic_info_views(device: Device) -> list[TopicInfoView]:
     return [
         {
             "kind": info.kind.name.lower(),
-            "id": info.topic_id,
+            "id": info.id,
             "name": device.shown.of(info.name),
             "own_name": info.name,
             "type": info.type,

@@ -28,7 +28,7 @@ from hostlink.hub.topic_graph import resolve
 from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor
 from hostlink.listening import close_all, spelled
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import encode_parameter
+from hostlink.protocol.rosserial.control import encode_parameter
 from hostlink.recording.folder import default_folder
 from hostlink.recording.owner import owner_of
 from hostlink.robot.kinematics import SETTINGS, AckermannDrive

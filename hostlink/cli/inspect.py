@@ -15,28 +15,27 @@ from hostlink.cli.output import fitted_table, write
 from hostlink.errors import BadPayload, WrongType
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
-from hostlink.protocol.control import (
-    Parameter,
-    TopicInfo,
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind, to_device_key
+from hostlink.protocol.events import Parameter
+from hostlink.protocol.rosserial.control import (
     decode_log,
     decode_parameter,
     decode_parameter_request,
     decode_topic_info,
-    to_device_key,
 )
-from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
-from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
+from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
+from hostlink.protocol.rosserial.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 
 LAST_LOGS = 8
 _KINDS = {
-    Id.PUBLISHER: "publisher",
-    Id.SUBSCRIBER: "subscriber",
-    Id.SERVICE_SERVER_PUBLISHER: "service_server",
-    Id.SERVICE_SERVER_SUBSCRIBER: "service_server",
-    Id.SERVICE_CLIENT_PUBLISHER: "service_client",
-    Id.SERVICE_CLIENT_SUBSCRIBER: "service_client",
+    EndpointKind.PUBLISHER: "publisher",
+    EndpointKind.SUBSCRIBER: "subscriber",
+    EndpointKind.SERVICE_SERVER_PUBLISHER: "service_server",
+    EndpointKind.SERVICE_SERVER_SUBSCRIBER: "service_server",
+    EndpointKind.SERVICE_CLIENT_PUBLISHER: "service_client",
+    EndpointKind.SERVICE_CLIENT_SUBSCRIBER: "service_client",
 }
-_REQUESTS = (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
+_REQUESTS = (EndpointKind.SERVICE_SERVER_SUBSCRIBER, EndpointKind.SERVICE_CLIENT_PUBLISHER)
 
 
 def command(
@@ -92,7 +91,7 @@ class Inspection:
 
     def __init__(self, catalog: Catalog) -> None:
         self._connections: dict[int, _InspectedConnection] = {}
-        self._topics: dict[tuple[Id, int, str], TopicInfo] = {}
+        self._topics: dict[tuple[EndpointKind, int, str], DeviceEndpoint] = {}
         self._messages: dict[str, Series] = {}  # from the device
         self._to_device: dict[str, Series] = {}
         self._services: dict[str, dict[str, int]] = {}  # in the order of first use
@@ -159,21 +158,21 @@ class Inspection:
             case Id.PARAMETER if (name := decode_parameter_request(frame.payload)) is not None:
                 self._parameters.append({"name": name, "reply": None})
                 connection.request_parameter(self._parameters[-1])
-            case kind if kind <= Id.SERVICE_CLIENT_SUBSCRIBER:
-                self._add_topic_info(connection, decode_topic_info(Id(kind), frame.payload))
+            case kind if kind <= EndpointKind.SERVICE_CLIENT_SUBSCRIBER:
+                self._add_topic_info(connection, decode_topic_info(EndpointKind(kind), frame.payload))
             case topic_id if topic_id >= FIRST_TOPIC_ID:
                 self._add_message(connection, frame, is_to_device=False)
 
-    def _add_topic_info(self, connection: "_InspectedConnection", info: TopicInfo | None) -> None:
+    def _add_topic_info(self, connection: "_InspectedConnection", info: DeviceEndpoint | None) -> None:
         if info is not None:
-            self._topics.setdefault((info.kind, info.topic_id, info.name), info)
+            self._topics.setdefault((info.kind, info.id, info.name), info)
             connection.add_topic(info)
 
     def _add_message(self, connection: "_InspectedConnection", frame: Frame, *, is_to_device: bool) -> None:
         info = connection.topics.get(to_device_key(frame.topic_id) if is_to_device else frame.topic_id)
         if info is None:
             return
-        if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER):
+        if info.kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER):
             series = self._to_device if is_to_device else self._messages
             series.setdefault(info.name, Series(self._type_of(info))).add(frame.payload)
             return
@@ -190,22 +189,22 @@ class Inspection:
         elif frame.topic_id >= FIRST_TOPIC_ID:
             connection.early.append(frame)
 
-    def _type_of(self, info: TopicInfo) -> MessageType | None:
+    def _type_of(self, info: DeviceEndpoint) -> MessageType | None:
         try:
             return self._catalog.check_message(info.name, info.type, info.md5)
         except WrongType:
             return None
 
-    def _fixed_bytes(self, info: TopicInfo) -> int | None:
-        type_ = self._type_of(info) if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER) else None
+    def _fixed_bytes(self, info: DeviceEndpoint) -> int | None:
+        type_ = self._type_of(info) if info.kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER) else None
         return None if type_ is None else type_.fixed_bytes
 
 
 class _InspectedConnection:
     """Streams and topics of one connection."""
 
-    def __init__(self, fixed_bytes_of: Callable[[TopicInfo], int | None]) -> None:
-        self.topics: dict[int, TopicInfo] = {}  # by `TopicInfo.key`
+    def __init__(self, fixed_bytes_of: Callable[[DeviceEndpoint], int | None]) -> None:
+        self.topics: dict[int, DeviceEndpoint] = {}  # by `TopicInfo.key`
         self.reads = 0
         self.open_requests: list[dict[str, Any]] = []  # parameter requests without a reply
         self._requested_in_read = 0
@@ -223,22 +222,22 @@ class _InspectedConnection:
         self._requested_in_read = self.reads
         self.open_requests.append(request)
 
-    def add_topic(self, info: TopicInfo) -> None:
+    def add_topic(self, info: DeviceEndpoint) -> None:
         self.topics[info.key] = info
         fixed_bytes = self._fixed_bytes_of(info)
         known = self._fixed_to_device if info.is_to_device else self._fixed_from_device
         if fixed_bytes is None:
-            known.pop(info.topic_id, None)
+            known.pop(info.id, None)
         else:
-            known[info.topic_id] = fixed_bytes
+            known[info.id] = fixed_bytes
         buffers = (known.buffer_bytes for known in self.topics.values() if not known.is_to_device)
         self.from_device.limit_bytes = max(DEFAULT_LIMIT_BYTES, *buffers, 0)
 
 
-def _topic_view(info: TopicInfo) -> dict[str, Any]:
+def _topic_view(info: DeviceEndpoint) -> dict[str, Any]:
     return {
         "kind": _KINDS[info.kind],
-        "id": info.topic_id,
+        "id": info.id,
         "name": info.name,
         "type": info.type,
         "md5": info.md5,

@@ -20,10 +20,10 @@ from hostlink.cli.serve import running
 from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig
 from hostlink.diagnosis.finding import Finding, finding
 from hostlink.diagnosis.replay import Replay, replay
-from hostlink.hub.device import check_type
 from hostlink.hub.hub import Hub
 from hostlink.listening import own_address
 from hostlink.messages.catalog import Catalog
+from hostlink.protocol.rosserial.protocol import check_type
 from hostlink.transport.port_users import PROC, find_user
 
 # -- port users -------------------------------------------------------------------------------------------------------

@@ -19,16 +19,12 @@ from hostlink.diagnosis.evidence import (
 from hostlink.diagnosis.motion_monitor import MotionMonitor
 from hostlink.host_pauses import HostPauses
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import OVERHEAD_BYTES, Id
-from hostlink.protocol.negotiation import TIME_PERIOD_S
-from hostlink.protocol.session import Session
-from hostlink.protocol.stream import Rejection
+from hostlink.protocol.session import DeviceSession
 
 SAMPLE_INTERVAL_S = 1.0
 MAX_SAMPLES = int(RECENT_S / SAMPLE_INTERVAL_S) + 1
 _COLUMNS = 1 + len(Tally._fields)  # time and counts of a sample
-TOGETHER_S = TIME_PERIOD_S[0]  # time requests that arrive closer together have waited on their way
+TOGETHER_S = 1.0  # time requests that arrive closer together have waited on their way
 STAMPS_SAMPLES = 10  # DeviceClock accepts a step after 5 s, and a device sets its clock every 2.5 s
 REVIVALS_S = 60.0  # a board that restarts four times a minute has a fault
 _KEPT = 16  # intervals and revivals: more add nothing
@@ -87,7 +83,9 @@ class LinkMonitor:
         "firmware", "motion", "sharing",
     )  # fmt: skip
 
-    def __init__(self, session: Session, *, now_s: float, least_bytes: Callable[[str], int] = unknown_size) -> None:
+    def __init__(
+        self, session: DeviceSession, *, now_s: float, least_bytes: Callable[[str], int] = unknown_size
+    ) -> None:
         """`least_bytes` returns the size of the smallest message of a type; 0 if the type is unknown."""
         self._least_bytes = least_bytes
         self.baud: int | None = None  # of a serial port
@@ -135,7 +133,7 @@ class LinkMonitor:
                 if self._negotiated_at_s is None:
                     self._negotiated_at_s = now_s
                     if not self._excluded.skipped_bytes:
-                        self._early_non_rosserial = self._session.non_rosserial.tail
+                        self._early_non_rosserial = self._session.foreign
             case events.DeviceLogged(_, text) if _TOO_LARGE_TEXT in text:
                 self._device_complaint = text
             case events.DeviceLogged(level, text) if level == _ERROR and (found := _COMPLAINT.fullmatch(text)):
@@ -220,8 +218,8 @@ class LinkMonitor:
             stamps_behind_s=self._stamps(),
             sharing=self.sharing,
             early_non_rosserial=self._early_non_rosserial,
-            non_rosserial=session.non_rosserial.tail[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
-            is_protocol_1=session.non_rosserial.is_protocol_1,
+            non_rosserial=session.foreign[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
+            is_protocol_1=session.is_outdated,
             refused=tuple(f"{reason}" for _, reason in session.refusals),
             too_small=tuple(self._too_small()),
             complaints={code: Complaint(text, now_s - at_s) for code, (text, at_s) in self._complaints.items()},
@@ -262,37 +260,22 @@ class LinkMonitor:
 
     def _total(self) -> Tally:
         """Counts since the link opened, without the losses during pauses of the host."""
-        counts, rejected = self._session.counts, self._session.rejected
+        session = self._session
+        counts = session.counts
         total = Tally(
             bytes_from_device=counts.bytes_from_device,
             frames=counts.frames_from_device,
             skipped_bytes=counts.skipped_bytes,
             unknown_ids=counts.unknown_ids - self._unknown_before,
-            bad_checksums=rejected.get(Rejection.CHECKSUM.value, 0) + rejected.get(Rejection.LENGTH_CHECKSUM.value, 0),
-            wrong_sizes=rejected.get(Rejection.WRONG_SIZE.value, 0),
+            bad_checksums=session.bad_checksums,
+            wrong_sizes=session.wrong_sizes,
         )
         return _difference(total, self._excluded)
 
     def _too_small(self) -> list[str]:
         """List what exceeds a buffer: by announced sizes, refused frames and the device's log."""
-        fixed_bytes = self._session.fixed_bytes
-        announced = [
-            f"{info.name}: a frame of {fixed_bytes[info.key] + OVERHEAD_BYTES} bytes, the device takes "
-            f"{info.buffer_bytes}"
-            for info in self._session.topics
-            if _is_too_small(info, fixed_bytes.get(info.key))
-        ]
-        unsent = [
-            f"{info.name}: a message of at least {least_bytes} bytes, the device sends at most {info.buffer_bytes}"
-            for info in self._session.topics
-            if info.kind is Id.PUBLISHER and info.topic_id not in fixed_bytes
-            if (least_bytes := self._least_bytes(info.type)) > info.buffer_bytes > 0
-        ]
-        return [text for text in (*announced, *unsent, self._session.too_large, self._device_complaint) if text]
-
-
-def _is_too_small(info: TopicInfo, fixed_bytes: int | None) -> bool:
-    return fixed_bytes is not None and 0 < info.buffer_bytes < fixed_bytes + OVERHEAD_BYTES
+        found = (*self._session.too_small(self._least_bytes), self._session.too_large, self._device_complaint)
+        return [text for text in found if text]
 
 
 def _ago(at_s: float | None, now_s: float, host: HostPauses) -> float | None:

@@ -9,17 +9,17 @@ from hostlink.capture_file import Read
 from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
-from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.protocol.events import MessageReceived, TopicsRequested
-from hostlink.protocol.frame import MAX_PAYLOAD_BYTES, Frame, Id
-from hostlink.protocol.session import Session
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.frame import MAX_PAYLOAD_BYTES, Frame, Id
+from hostlink.protocol.rosserial.session import Session
+from hostlink.protocol.rosserial.stream import FrameStream
 
 
 class Replay:
     """Diagnosis of one connection of a recording. Times are those of the recording."""
 
-    def __init__(self, check: Callable[[TopicInfo], int | None], *, now_s: float) -> None:
+    def __init__(self, check: Callable[[DeviceEndpoint], int | None], *, now_s: float) -> None:
         self.opened_at_s = self.ended_at_s = now_s
         self._check = check
         self._to_device = FrameStream(limit_bytes=MAX_PAYLOAD_BYTES)
@@ -76,7 +76,7 @@ class Replay:
         self._found |= {each.code: each for each in diagnose(dataclasses.replace(evidence, requests=self._requests))}
 
 
-def replay(reads: Iterable[Read], check: Callable[[TopicInfo], int | None]) -> dict[int, Replay]:
+def replay(reads: Iterable[Read], check: Callable[[DeviceEndpoint], int | None]) -> dict[int, Replay]:
     """Replay a recording. Return its connections by number."""
     connections: dict[int, Replay] = {}
     for read in reads:

@@ -11,8 +11,9 @@ import math
 from collections import Counter
 from typing import NamedTuple
 
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
 
 STANDARD_BAUDS = (9600, 19200, 38400, 57600, 74880, 115200, 230400, 250000, 460800, 500000, 921600, 1000000)
 BOOT_BAUD = 74880  # rate of an ESP8266's boot loader, independent of the firmware; otherwise unused
@@ -25,9 +26,11 @@ _SMOOTHING = 0.02
 _PAIRS = 1 << 16
 
 _INFOS = (
-    TopicInfo(Id.PUBLISHER, 125, "/odom", "nav_msgs/Odometry", "cd5e73d190d741a2f92e81eda573aca7", 512),
-    TopicInfo(Id.SUBSCRIBER, 100, "/cmd_vel", "geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a", 512),
-    TopicInfo(Id.PUBLISHER, 126, "/chatter", "std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", 512),
+    DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/odom", "nav_msgs/Odometry", "cd5e73d190d741a2f92e81eda573aca7", 512),
+    DeviceEndpoint(
+        EndpointKind.SUBSCRIBER, 100, "/cmd_vel", "geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a", 512
+    ),
+    DeviceEndpoint(EndpointKind.PUBLISHER, 126, "/chatter", "std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", 512),
 )
 _FRAMES = b"".join(
     [
@@ -81,7 +84,7 @@ _Model = tuple[Counter[bytes], int]
 
 @functools.cache
 def _model(baud: int, ratio: float) -> _Model:
-    from hostlink.protocol.resampling import resample  # noqa: PLC0415 - it needs numpy, which takes 0.1 s to import
+    from hostlink.protocol.rosserial.resampling import resample  # noqa: PLC0415 - it needs numpy, which takes 0.1 s to import
 
     data = _BOOT_TEXT + _FRAMES if baud == BOOT_BAUD else _FRAMES
     pairs: Counter[bytes] = Counter()

@@ -22,11 +22,9 @@ from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
 from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
-from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import Field
-from hostlink.protocol.control import Parameter, TopicInfo
-from hostlink.protocol.events import MessageReceived
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.events import MessageReceived, Parameter
 from hostlink.robot.admission import Admission
 from hostlink.robot.command_types import FixedZero, TopicType, zero_of
 from hostlink.robot.model import (
@@ -102,27 +100,9 @@ MAX_PARAMETERS = 64  # answers that are kept; a name can be as long as a frame
 COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
 
 
-def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
-    """Return the fixed payload size of an endpoint; None if it varies or the type is unknown.
-
-    Raises:
-        WrongType: the md5 sum is wrong.
-    """
-    checks = {
-        Id.PUBLISHER: catalog.check_message,
-        Id.SUBSCRIBER: catalog.check_message,
-        Id.SERVICE_SERVER_PUBLISHER: catalog.check_response,
-        Id.SERVICE_SERVER_SUBSCRIBER: catalog.check_request,
-        Id.SERVICE_CLIENT_PUBLISHER: catalog.check_request,
-        Id.SERVICE_CLIENT_SUBSCRIBER: catalog.check_response,
-    }
-    found = checks[info.kind](info.name, info.type, info.md5)
-    return None if found is None else found.fixed_bytes
-
-
-def endpoints_of(infos: Iterable[TopicInfo]) -> list[Endpoint]:
+def endpoints_of(infos: Iterable[DeviceEndpoint]) -> list[Endpoint]:
     """Return the topics of an announcement as the model of robots knows them."""
-    kinds = (Id.PUBLISHER, Id.SUBSCRIBER)
+    kinds = (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER)
     return [Endpoint(info.name, info.type, info.is_to_device) for info in infos if info.kind in kinds]
 
 
@@ -166,7 +146,7 @@ class Device:
         self.settings = NO_SETTINGS  # of its robot's command
         self.member: Membership | None = None  # of a robot of several devices
         self.refused_settings = ""  # why they do not fit the device
-        self.unguarded: tuple[TopicInfo, ...] = ()  # look like commands of a motion, and have no gate
+        self.unguarded: tuple[DeviceEndpoint, ...] = ()  # look like commands of a motion, and have no gate
         self._lockable: frozenset[str] = frozenset()  # own names of topics without a gate that a lock refuses
         self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()
@@ -174,7 +154,7 @@ class Device:
         self.services: dict[str, DeviceService] = {}  # services of the device, by announced name
         self.early = EarlyMessages()
         self.is_undecided = False  # its identity is not known yet
-        self.infos: tuple[TopicInfo, ...] = ()  # endpoints of the last announcement
+        self.infos: tuple[DeviceEndpoint, ...] = ()  # endpoints of the last announcement
         self.parameters: dict[str, Parameter] = {}  # answers to its requests, by name in the graph
         self._observers: dict[int, Callable[[bytes], None]] = {}  # readers of the hub itself, by id
         self._awaited: dict[str, None] = {}  # services that may still answer a call from before the last `leave`
@@ -182,7 +162,7 @@ class Device:
         self._reader: LocalRobot | None = None  # robot of several devices that reads this one
         self._hub = hub
 
-    def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: LocalRobot | None = None) -> None:
+    def announce(self, infos: tuple[DeviceEndpoint, ...], shown: ShownNames, robot: LocalRobot | None = None) -> None:
         """Replace the device's endpoints in the graph."""
         self.leave()
         self.shown = shown
@@ -191,7 +171,9 @@ class Device:
             robot.velocities = {shown.of(info.name): info.name for info in infos if self._is_velocity(info)}
             pairs = zip(robot.shown.commands, robot.topics.commands, strict=True)
             robot.velocities |= {ours.name: its.name for ours, its in pairs}
-        self.names = frozenset(shown.of(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))
+        self.names = frozenset(
+            shown.of(info.name) for info in infos if info.kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER)
+        )
         own = {} if robot is None else robot.shown.own
         for info in sorted(infos, key=lambda info: own.get(shown.of(info.name)) != info.type):  # its own types first
             try:
@@ -225,7 +207,7 @@ class Device:
 
         A velocity is as old as it may be. A played recording drives no robot.
         """
-        topic_id, link = message.topic.topic_id, self.link
+        topic_id, link = message.topic.id, self.link
         read_s, came_s = (link.received_at_s, link.came_s) if read is None else read
         observe = self._observers.get(topic_id)
         if observe is not None:
@@ -240,7 +222,7 @@ class Device:
     @property
     def sent_topics(self) -> list[TopicType]:
         """Topics that the device sends, by its own names."""
-        return [TopicType(info.name, info.type) for info in self.infos if info.kind is Id.PUBLISHER]
+        return [TopicType(info.name, info.type) for info in self.infos if info.kind is EndpointKind.PUBLISHER]
 
     def read_for(self, robot: LocalRobot | None) -> None:
         """Read the topics of a robot's feedback that come from this device, one of several of the robot's."""
@@ -249,8 +231,8 @@ class Device:
         if robot is None:
             return
         for info in self.infos:
-            if info.kind is Id.PUBLISHER and self._reads(info, robot):
-                topic = self.routes.get(info.topic_id)
+            if info.kind is EndpointKind.PUBLISHER and self._reads(info, robot):
+                topic = self.routes.get(info.id)
                 if topic is None:
                     self._route_refused(info, robot)
                 else:
@@ -274,9 +256,9 @@ class Device:
         They can be stopped, and are guarded, until the next announcement.
         """
         lost, self.lost = self.lost, {}
-        known = {info.topic_id for each in self.drivables for info in each.endpoints if info is not None}
+        known = {info.id for each in self.drivables for info in each.endpoints if info is not None}
         for info, zero in lost.values():
-            if info.topic_id not in known and self.link.session.may_have(info):
+            if info.id not in known and self.link.session.may_have(info):
                 drivable = self._drivable(info, None)
                 drivable.commands = FixedZero(TopicType(info.name, info.type), zero)
                 self._hub.gates.attach(drivable, self, lost=info)
@@ -323,7 +305,9 @@ class Device:
         """Find the endpoints that look like commands and have no gate. Under a lock they are sent their zeros."""
         found = unguarded(self.endpoints, self.settings, self.guarded)
         names = {each.name for each in found} if not self.diagnosis.is_played else set[str]()
-        self.unguarded = tuple(info for info in self.infos if info.kind is Id.SUBSCRIBER and info.name in names)
+        self.unguarded = tuple(
+            info for info in self.infos if info.kind is EndpointKind.SUBSCRIBER and info.name in names
+        )
         self._lockable = self.settings.locked | names
         if self.lock.lock_reason is not None:
             self.stop_unguarded()
@@ -332,12 +316,12 @@ class Device:
         """Send zero to each endpoint that looks like a command and has no gate. Older messages to it are dropped."""
         if self.lock.lock_reason is not None:
             for info in self.infos:
-                if info.kind is Id.SUBSCRIBER and info.name in self._lockable:
-                    self.link.session.outbox.drop_commands(info.topic_id)
+                if info.kind is EndpointKind.SUBSCRIBER and info.name in self._lockable:
+                    self.link.session.outbox.drop_commands(info.id)
         for info in self.unguarded:
             zero = zero_of(info.type)
             if zero is None or self._why_no_zero(info):
-                self.link.session.outbox.drop_commands(info.topic_id)
+                self.link.session.outbox.drop_commands(info.id)
             else:
                 self.link.session.publish(info.name, zero, is_urgent=True)
         if self.unguarded:
@@ -350,7 +334,7 @@ class Device:
             for info in self.unguarded
         ]
 
-    def _why_no_zero(self, info: TopicInfo) -> str:
+    def _why_no_zero(self, info: DeviceEndpoint) -> str:
         """Return the reason why an endpoint is not sent a zero; empty if it is."""
         zero = zero_of(info.type)
         if zero is None:
@@ -395,14 +379,14 @@ class Device:
         self._hub.services.leave(self.link)
         self.services.clear()
 
-    def _add(self, info: TopicInfo, robot: LocalRobot | None) -> None:
+    def _add(self, info: DeviceEndpoint, robot: LocalRobot | None) -> None:
         name = self.shown.of(info.name)
-        if info.kind is Id.PUBLISHER:
+        if info.kind is EndpointKind.PUBLISHER:
             topic = self._hub.topics.advertise(name, self.link, type_name=info.type)
             self._route(info, topic, robot)
-        elif info.kind is Id.SUBSCRIBER:
+        elif info.kind is EndpointKind.SUBSCRIBER:
             self._subscribe(info, name, robot)
-        elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:
+        elif info.kind is EndpointKind.SERVICE_SERVER_SUBSCRIBER:
             type_ = self._hub.catalog.service(info.type)
             service = DeviceService(name, info.type, type_, self.link, lambda payload: self._call(info.name, payload))
             service.md5_sums = self._md5_sums(info.name)
@@ -411,24 +395,24 @@ class Device:
 
     # -- from the device ----------------------------------------------------------------------------------------------
 
-    def _route(self, info: TopicInfo, topic: Topic, robot: LocalRobot | None) -> None:
+    def _route(self, info: DeviceEndpoint, topic: Topic, robot: LocalRobot | None) -> None:
         """Route an id to its topic. A robot reads its odometry by link and id, independent of other publishers."""
-        self.routes[info.topic_id] = topic
+        self.routes[info.id] = topic
         if robot is not None and info == self._battery_info():
-            self._observers[info.topic_id] = partial(self._observe_battery, robot)
+            self._observers[info.id] = partial(self._observe_battery, robot)
         elif topic.type is not None and topic.type.fields[:1] == (_HEADER,):
-            self._observers[info.topic_id] = self._observe_stamp
+            self._observers[info.id] = self._observe_stamp
         if robot is not None and self._reads(info, robot):
             self._subscribe_robot(info.name, topic, robot)
 
-    def _route_refused(self, info: TopicInfo, robot: LocalRobot | None) -> None:
+    def _route_refused(self, info: DeviceEndpoint, robot: LocalRobot | None) -> None:
         """Route a robot's odometry even if the graph has another type by this name."""
-        if robot is not None and info.kind is Id.PUBLISHER and self._reads(info, robot):
+        if robot is not None and info.kind is EndpointKind.PUBLISHER and self._reads(info, robot):
             topic = Topic(self.shown.of(info.name))
             topic.type, topic.type_name = self._hub.catalog.message(info.type), info.type
             self._route(info, topic, robot)
 
-    def _reads(self, info: TopicInfo, robot: LocalRobot) -> bool:
+    def _reads(self, info: DeviceEndpoint, robot: LocalRobot) -> bool:
         """Whether a robot reads this topic from this device."""
         key = info.name, info.type
         is_here = robot.feedback_links is None or robot.feedback_links.get(key) is self.link
@@ -444,9 +428,9 @@ class Device:
         self.link.end(LinkEnd.CRASHED)
         self._hub.isolation.crashed("robot", error, robot=robot.name)
 
-    def _battery_info(self) -> TopicInfo | None:
+    def _battery_info(self) -> DeviceEndpoint | None:
         """Return the first topic of the battery's type; None if there is none."""
-        kind = (Id.PUBLISHER, BATTERY_TYPE)
+        kind = (EndpointKind.PUBLISHER, BATTERY_TYPE)
         return next((info for info in self.infos if (info.kind, info.type) == kind), None)
 
     def _observe_battery(self, robot: LocalRobot, payload: bytes) -> None:
@@ -467,7 +451,7 @@ class Device:
 
     # -- to the device ------------------------------------------------------------------------------------------------
 
-    def _subscribe(self, info: TopicInfo, name: str, robot: LocalRobot | None) -> None:
+    def _subscribe(self, info: DeviceEndpoint, name: str, robot: LocalRobot | None) -> None:
         drivable: Drivable | None = None
         output: int | None = 0
         if robot is not None and (info.name, info.type) in robot.topics.commands:
@@ -489,13 +473,13 @@ class Device:
             if robot is None:  # a robot's gate has joined before
                 drivable.join(topic)
 
-    def _is_velocity(self, info: TopicInfo) -> bool:
+    def _is_velocity(self, info: DeviceEndpoint) -> bool:
         """Whether a topic drives the device by its type and name, and by the robot's settings."""
         settings, endpoint = self.settings, Endpoint(info.name, info.type, info.is_to_device)
         is_named = settings.is_spatial and info.name in settings.topics and info.type in _SIX_NUMBERS
         return is_velocity(endpoint, settings.ignored) or (is_named and info.is_to_device)
 
-    def _drivable(self, info: TopicInfo, robot: LocalRobot | None) -> Drivable:
+    def _drivable(self, info: DeviceEndpoint, robot: LocalRobot | None) -> Drivable:
         """Create the gate of a further velocity topic of a robot, or of a device that is not identified.
 
         The first has the robot's limits and lock. The second has no limits: its six numbers stay as they are. A device
@@ -539,7 +523,7 @@ class Device:
         self.link.session.publish(name, message.payload, depth=COMMAND_DEPTH)
         self.link.wake()
 
-    def _send_pose(self, info: TopicInfo, message: Message) -> None:
+    def _send_pose(self, info: DeviceEndpoint, message: Message) -> None:
         """Send a pose to the device, which may only send it back as its own; as `_send`."""
         robot = self._robot
         if robot is not None:
@@ -553,7 +537,7 @@ class Device:
 
     def _md5_sums(self, service: str) -> tuple[str, str]:
         sums = {info.kind: info.md5 for info in self.infos if info.name == service}
-        return sums.get(Id.SERVICE_SERVER_SUBSCRIBER, ""), sums.get(Id.SERVICE_SERVER_PUBLISHER, "")
+        return sums.get(EndpointKind.SERVICE_SERVER_SUBSCRIBER, ""), sums.get(EndpointKind.SERVICE_SERVER_PUBLISHER, "")
 
     def _call(self, name: str, payload: bytes) -> None:
         self.link.session.call(name, payload)

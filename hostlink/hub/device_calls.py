@@ -30,10 +30,9 @@ from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
 from hostlink.messages.fitting import encode_within
 from hostlink.messages.message_type import MessageType
-from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.protocol.events import ServiceRequested
-from hostlink.protocol.frame import OVERHEAD_BYTES
-from hostlink.protocol.session import response_bytes
+from hostlink.protocol.session import DeviceSession
 
 if TYPE_CHECKING:
     from hostlink.hub.hub import Hub
@@ -87,10 +86,10 @@ class DeviceCalls:
         """Start a call of a device, or queue it behind earlier ones."""
         call = _DeviceCall(link, event, loop_time_s())
         of_link = self._calls.setdefault(link.number, {})
-        waiting = of_link.get(event.service.topic_id)
+        waiting = of_link.get(event.service.id)
         if waiting is None and _count(of_link) < MAX_CALLS:
-            of_link[event.service.topic_id] = deque([call])
-            self._spawn(self._work(of_link, event.service.topic_id), name=f"service calls of link {link.number}")
+            of_link[event.service.id] = deque([call])
+            self._spawn(self._work(of_link, event.service.id), name=f"service calls of link {link.number}")
             return
         for older in waiting or ():
             if older.negotiations < call.negotiations:  # ros_lib gives a call up when its topics are requested
@@ -178,7 +177,7 @@ class DeviceCalls:
         session = call.link.session
         response = session.response_endpoint(call.endpoint)
         known = None if session.is_refused(response) else self._catalog.service(response.type)
-        payload, problem = encode_response(None if known is None else known.response, outcome, response)
+        payload, problem = encode_response(None if known is None else known.response, outcome, response, session)
         session.respond(response, payload)
         if problem is not None:
             is_cut = isinstance(problem, FrameTooLarge)
@@ -196,7 +195,7 @@ class DeviceCalls:
 
 
 def encode_response(
-    type_: MessageType | None, outcome: _Outcome, response: TopicInfo
+    type_: MessageType | None, outcome: _Outcome, response: DeviceEndpoint, session: DeviceSession
 ) -> tuple[bytes | None, HostlinkError | None]:
     """Encode as much of an answer as fits the device's buffer; also return the problem of an answer that does not fit.
 
@@ -205,37 +204,34 @@ def encode_response(
     Raises:
         FrameTooLarge: the device's buffer is smaller than the shortest response.
     """
-    limit_bytes = response_bytes(response)
+    limit_bytes = session.room_bytes(response)
     if isinstance(outcome, bytes):
         is_right = len(outcome) <= limit_bytes
-        return (outcome, None) if is_right else (None, _too_large(response, len(outcome)))
+        return (outcome, None) if is_right else (None, session.too_long(response, len(outcome)))
     if type_ is None:
         return None, None
     if isinstance(outcome, HostlinkError):
-        return _encode_failure(type_, outcome, response), None
+        return _encode_failure(type_, outcome, response, session), None
     try:
         whole_bytes = len(type_.encode(outcome))
         payload = encode_within(type_, outcome, limit_bytes)
     except BadRequest as error:
-        return _encode_failure(type_, error, response), error
-    problem = None if whole_bytes <= limit_bytes else _too_large(response, whole_bytes)
+        return _encode_failure(type_, error, response, session), error
+    problem = None if whole_bytes <= limit_bytes else session.too_long(response, whole_bytes)
     if payload is None and problem is not None:
-        payload = _encode_failure(type_, problem, response)
+        payload = _encode_failure(type_, problem, response, session)
     return payload, problem
 
 
-def _encode_failure(type_: MessageType, reason: HostlinkError, response: TopicInfo) -> bytes:
+def _encode_failure(
+    type_: MessageType, reason: HostlinkError, response: DeviceEndpoint, session: DeviceSession
+) -> bytes:
     """Encode default values, and as much of the reason as there is room for."""
     has_message = any(field.name == "message" and field.type_text == "string" for field in type_.fields)
-    payload = encode_within(type_, {"message": str(reason)} if has_message else {}, response_bytes(response))
+    payload = encode_within(type_, {"message": str(reason)} if has_message else {}, session.room_bytes(response))
     if payload is None:
-        raise _too_large(response, type_.layout.minimum_bytes)
+        raise session.too_long(response, type_.layout.minimum_bytes)
     return payload
-
-
-def _too_large(response: TopicInfo, payload_bytes: int) -> FrameTooLarge:
-    limit_bytes = response_bytes(response)
-    return FrameTooLarge(response.name, payload_bytes + OVERHEAD_BYTES, limit_bytes + OVERHEAD_BYTES)
 
 
 def _count(of_link: Mapping[int, deque[_DeviceCall]]) -> int:

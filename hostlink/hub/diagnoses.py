@@ -24,8 +24,7 @@ from hostlink.link.serving import LinkEnd
 from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import encode
+from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.rate_limit import RateLimit
 from hostlink.robot.model import Endpoint
 from hostlink.robot.names import is_played
@@ -38,7 +37,7 @@ AWAY_S = 12.0  # a device that gets no answers for 11 s gives up, as docs/protoc
 LOG_AGAIN_S = 60.0  # so that a device that reconnects every second does not fill the log
 MAX_ANNOUNCED = 4  # last announcements with changed topics; they are needed to read a capture
 
-Announced = tuple[TopicInfo, ...]
+Announced = tuple[DeviceEndpoint, ...]
 
 
 @dataclass(slots=True, eq=False)
@@ -87,7 +86,7 @@ class Diagnosis:
         """Encode the last announcement within the first `position` bytes, or the first announcement if it was later."""
         before = [topics for at, topics in self._announced if at <= position]
         topics = before[-1] if before else next((topics for _, topics in self._announced), ())
-        return b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
+        return self.link.session.announcement(topics)
 
     def is_same_device(self, other: "Diagnosis") -> bool:
         """Whether both links belong to one device: same address and robot, or same topics if it has no robot."""

@@ -36,8 +36,7 @@ from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
 from hostlink.log_budget import Budget
 from hostlink.loop_time import loop_time_s
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import STOP_REQUEST, encode
+from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.robot.admission import LEASE_S, Admission, Command, named
 from hostlink.robot.command_types import CommandType, Published, decode_twist
 from hostlink.robot.model import STOP_SERVICE_TYPES
@@ -190,8 +189,8 @@ class Drivable(VelocityTarget):
     connection: "Device | None" = None  # in the registry of links (`Robots.devices`)
     echoes: dict[str, Echo] = field(default_factory=dict)  # by the topic's name
     # For each command topic: takes its zeros, even if a damaged announcement gave it up; None: none fits.
-    endpoints: tuple[TopicInfo | None, ...] = ()
-    stop_call: TopicInfo | None = None  # takes the requests of the service that is called with each zero
+    endpoints: tuple[DeviceEndpoint | None, ...] = ()
+    stop_call: DeviceEndpoint | None = None  # takes the requests of the service that is called with each zero
     is_lost: bool = False  # the device's announcement lacks it: it only receives zeros
     is_given_up: bool = False  # the device announced twice that it lacks it: detached when its zeros were sent
     resumed_link: int = 0  # number of the link since which no reconnection was an interruption
@@ -240,7 +239,7 @@ class Drivable(VelocityTarget):
 class LostEndpoint(NamedTuple):
     """Endpoint that an announcement gave up, and the payload that stops it."""
 
-    info: TopicInfo
+    info: DeviceEndpoint
     zero: bytes
 
 
@@ -271,7 +270,7 @@ class RemoteHosts(Protocol):
         ...
 
 
-def _stop_call_of(connection: "Device") -> TopicInfo | None:
+def _stop_call_of(connection: "Device") -> DeviceEndpoint | None:
     """Return the endpoint of the service that stops a device, by its robot's settings; None if it has none."""
     service = connection.settings.stop_service
     if service is None:
@@ -311,7 +310,7 @@ class Gates:
 
     # -- which there are ----------------------------------------------------------------------------------------------
 
-    def attach(self, drivable: Drivable, connection: "Device", *, lost: TopicInfo | None = None) -> None:
+    def attach(self, drivable: Drivable, connection: "Device", *, lost: DeviceEndpoint | None = None) -> None:
         """Attach a velocity topic to its device. Earlier commands are void: the first velocity is zero.
 
         `lost` is its endpoint if the device's announcement lacks it.
@@ -722,9 +721,9 @@ class Gates:
         if self._guardian is not None:
             self._guardian.beat(driven)
 
-    def _endpoints_of(self, drivable: Drivable, connection: "Device") -> tuple[TopicInfo | None, ...]:
+    def _endpoints_of(self, drivable: Drivable, connection: "Device") -> tuple[DeviceEndpoint | None, ...]:
         """Return the endpoints that take zeros: each the announced one, or the earlier one if a zero does not fit."""
-        session, found = connection.link.session, list[TopicInfo | None]()
+        session, found = connection.link.session, list[DeviceEndpoint | None]()
         for topic, zero in zip(drivable.commands.topics, drivable.zeros, strict=True):
             lost = connection.lost.get(topic.name)
             try:
@@ -740,17 +739,17 @@ class Gates:
         zeros = [*zip(drivable.endpoints, drivable.commands.encode(ZERO), strict=True), (drivable.stop_call, b"")]
         for info, zero in zeros:
             if info is not None:
-                frame = encode(info.topic_id, zero)
+                frame = link.session.zero_frame(info, zero)
                 link.last_frame += frame
                 stops.append(frame)
                 if len(stops) == MAX_GUARDED + 1 and self._guardian is not None:
                     log.warning("guardian.frames_dropped", link=link.number, guarded=MAX_GUARDED)
         if self._guardian is not None and stops:
-            claim_bytes = link.session.longest_to_device_bytes
+            claim_bytes = link.session.claim_bytes
             self._guardian.watch(
                 link.number,
                 link.descriptor,
                 zeros=tuple(stops[:MAX_GUARDED]),
-                end=STOP_REQUEST,
+                end=link.session.end_frame,
                 claim_bytes=claim_bytes,
             )

@@ -13,7 +13,7 @@ from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import ConfigError, HostlinkError, ReloadRefused
-from hostlink.hub.device import Device, ShownNames, check_type
+from hostlink.hub.device import Device, ShownNames
 from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.robot import LocalRobot, command_settings
@@ -23,7 +23,8 @@ from hostlink.link.link import Link
 from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.logs import of_peer, printable
 from hostlink.protocol import events
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.protocol.session import DeviceProtocol
 from hostlink.robot.model import CommandSettings, RobotTopicNames, namespace_of
 from hostlink.robot.names import Accepted, Directory, Origin, Places, Remembered, Undecided
 from hostlink.transport.base import Transport
@@ -59,7 +60,6 @@ class Links:
         self.calls = DeviceCalls(hub, give_up=self._give_up, name_of=self._service_name)
         # What every session and link gets, made once.
         self._capture_room = CaptureRoom()
-        self._check = functools.partial(check_type, hub.catalog)
         self._react, self._wall_ns, self._pauses = self.react, self._read_wall_ns, hub.gates.pauses
         self._parameters = ParameterAnswers(hub.parameters, lambda: self.parameter_source, hub.spawn)
         self._reactions: dict[type[Any], Callable[[Device, Any], None]] = {
@@ -76,12 +76,14 @@ class Links:
 
     # -- connections --------------------------------------------------------------------------------------------------
 
-    def open(self, transport: Transport, link_config: LinkConfig | None = None) -> Link:
-        """Create the link of one connection. `serve` must follow."""
+    def open(
+        self, transport: Transport, link_config: LinkConfig | None = None, protocol: DeviceProtocol = ROSSERIAL
+    ) -> Link:
+        """Create the link of one connection, whose device speaks this protocol. `serve` must follow."""
         hub = self._hub
         config = hub.config.link if link_config is None else link_config
-        session = Session(
-            check=self._check,
+        session = protocol.session(
+            hub.catalog,
             uart_bytes_s=self._uart_bytes_s(transport, config),
             max_topics=config.max_topics,
             is_lossy=transport.kind == "udp",
@@ -102,7 +104,7 @@ class Links:
         return link
 
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
-        """Serve a link to its end. rosserial begins when `authenticate` returns."""
+        """Serve a link to its end. The protocol begins when `authenticate` returns."""
         hub, end = self._hub, LinkEnd.CRASHED
         bound = {"link": link.number, "peer": printable(link.peer), **of_peer(link.address)}
         bind_contextvars(**bound)  # `bound_contextvars` would keep a generator for each link

@@ -13,7 +13,7 @@ from hostlink.hub.isolation import Spawn
 from hostlink.hub.topic_graph import resolve
 from hostlink.link.link import Link
 from hostlink.logs import printable
-from hostlink.protocol.control import Parameter
+from hostlink.protocol.events import Parameter
 
 log = structlog.get_logger()
 

@@ -9,8 +9,7 @@ from hostlink.errors import HostlinkError
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
 from hostlink.messages.catalog import to_time
-from hostlink.protocol.control import LOG_LEVELS
-from hostlink.protocol.events import DeviceLogged
+from hostlink.protocol.events import LOG_LEVELS, DeviceLogged
 
 log = structlog.get_logger()
 

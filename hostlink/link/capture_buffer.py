@@ -6,12 +6,9 @@ When older bytes were dropped, a capture starts with a whole frame.
 import heapq
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
-
-from hostlink.protocol.frame import Frame
-from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream
 
 CAPTURE_BYTES = 65536  # 17 s of a fully used 38400 baud line, minutes of a robot's usual traffic
 LEAST_BYTES = 4096  # of each buffer, however many there are
@@ -123,35 +120,38 @@ class Captured:
         return sum(self.lost)
 
 
-def captured(from_device: CaptureBuffer, to_device: CaptureBuffer, since: tuple[int, int]) -> Captured:
-    """Merge both directions after the first `since` bytes of each."""
+def captured(
+    from_device: CaptureBuffer,
+    to_device: CaptureBuffer,
+    since: tuple[int, int],
+    rest_of_frame_bytes: Callable[[Iterable[bytes]], int],
+) -> Captured:
+    """Merge both directions after the first `since` bytes of each.
+
+    `rest_of_frame_bytes` returns how many bytes precede the first whole frame of bytes whose beginning is lost.
+    """
     pieces = heapq.merge(
-        (CapturedPiece(piece.time_s, True, piece.data) for piece in _whole_frames(from_device, since[0])),
-        (CapturedPiece(piece.time_s, False, piece.data) for piece in _whole_frames(to_device, since[1])),
+        (
+            CapturedPiece(each.time_s, True, each.data)
+            for each in _whole_frames(from_device, since[0], rest_of_frame_bytes)
+        ),
+        (
+            CapturedPiece(each.time_s, False, each.data)
+            for each in _whole_frames(to_device, since[1], rest_of_frame_bytes)
+        ),
         key=lambda piece: piece.time_s,
     )
     position = (from_device.total_bytes, to_device.total_bytes)
     return Captured(tuple(pieces), position, (from_device.lost_bytes(since[0]), to_device.lost_bytes(since[1])))
 
 
-def _whole_frames(buffer: CaptureBuffer, since: int) -> Iterable[Piece]:
+def _whole_frames(
+    buffer: CaptureBuffer, since: int, rest_of_frame_bytes: Callable[[Iterable[bytes]], int]
+) -> Iterable[Piece]:
     """Return the pieces without the rest of a cut frame, which a reader would take for damage on the wire."""
     pieces = list(buffer.pieces(since))
-    cut_bytes = _rest_of_frame_bytes(pieces) if buffer.lost_bytes(since) else 0
+    cut_bytes = rest_of_frame_bytes(piece.data for piece in pieces) if buffer.lost_bytes(since) else 0
     for piece in pieces:
         if cut_bytes < len(piece.data):
             yield piece._replace(data=piece.data[cut_bytes:])
         cut_bytes = max(0, cut_bytes - len(piece.data))
-
-
-def _rest_of_frame_bytes(pieces: Iterable[Piece]) -> int:
-    """Number of bytes before the first frame; 0 when it is more than a frame can have."""
-    stream, before = FrameStream(), 0
-    for piece in pieces:
-        for item in stream.feed(piece.data):
-            if isinstance(item, Frame):
-                return before
-            before += len(item.data)
-        if before > DEFAULT_LIMIT_BYTES:
-            break
-    return 0

@@ -18,41 +18,10 @@ from hostlink.link.capture_buffer import CaptureBuffer, Captured, CaptureRoom, c
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.link.serving import Authenticate, Helper, LinkEnd, drain, serve, trust
 from hostlink.protocol.clock import ClockReading
-from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.protocol.events import Event
-from hostlink.protocol.frame import HEADER, OVERHEAD_BYTES, SYNC, SYNC_WORD, TOPICS_REQUEST, byte_sum
-from hostlink.protocol.session import Session, SessionCounts
+from hostlink.protocol.session import DeviceSession, SessionCounts
 from hostlink.transport.base import Transport
-
-# -- greeting ---------------------------------------------------------------------------------------------------------
-
-INVITATION = TOPICS_REQUEST  # a silent device sends its first datagram when its topics are requested
-MAX_HEADS = 8  # false frame starts that are examined, so that the work is bounded
-
-
-def has_frame(data: bytes) -> bool:
-    """Whether the data contains a whole frame at any offset. A UART bridge over UDP cuts the stream anywhere."""
-    at = -1
-    for _ in range(MAX_HEADS):
-        at = data.find(SYNC, at + 1)
-        if at < 0:
-            return False
-        if _is_frame(data, at):
-            return True
-    return False
-
-
-def _is_frame(data: bytes, at: int) -> bool:
-    """Whether a whole frame begins at the offset."""
-    if len(data) < at + OVERHEAD_BYTES:
-        return False
-    sync, size, length_check, topic_id = HEADER.unpack_from(data, at)
-    end = at + HEADER.size + size
-    if sync != SYNC_WORD or length_check != ~(size + (size >> 8)) & 0xFF or len(data) <= end:
-        return False
-    payload = memoryview(data)[at + HEADER.size : end]
-    return bool(data[end] == ~(topic_id + (topic_id >> 8) + byte_sum(payload)) & 0xFF)
-
 
 # -- piece size -------------------------------------------------------------------------------------------------------
 
@@ -60,15 +29,8 @@ MOST_BYTES = 4096  # four frames of 1 KiB: reading one in parts costs twice as m
 FIRST_BYTES = 512  # the cost of the first piece is unknown; a robot mostly sends less at once
 LEAST_BYTES = 64  # the read itself costs as much as the smallest frames in it
 PIECE_S = 0.0005  # limit for one piece before others have their turn; a piece of refused requests took 3 ms
-MOST_FRAMES = FIRST_BYTES // 8  # in one piece: as many as FIRST_BYTES hold, which bounds its cost
 # Limit for more than FIRST_BYTES: half a turn of all links, so that a flood delays no other link.
 LARGE_PIECE_S = 0.0001
-
-
-def is_crowded(data: bytes) -> bool:
-    """Whether a piece must be read in parts, because it has many short frames after cheap long ones."""
-    # The first count costs a third of the exact one.
-    return data.count(SYNC[:1]) > MOST_FRAMES and data.count(SYNC) > MOST_FRAMES
 
 
 class PieceSize:
@@ -104,7 +66,7 @@ class Trouble:
         self.due_s = now_s + TROUBLE_INTERVAL_S  # time of the next report
         self._logged: dict[str, int] = {}
 
-    def report(self, session: Session, now_s: float) -> None:
+    def report(self, session: DeviceSession, now_s: float) -> None:
         """Log the new counts, if there are any. Call it when it is due."""
         self.due_s = now_s + TROUBLE_INTERVAL_S
         counts = session.counts
@@ -156,7 +118,7 @@ class Link:
     def __init__(
         self,
         transport: Transport,
-        session: Session,
+        session: DeviceSession,
         config: LinkConfig,
         *,
         number: int,
@@ -213,7 +175,7 @@ class Link:
     async def run(self, authenticate: Authenticate = trust) -> LinkEnd:
         """Serve the connection until it ends. Return the reason.
 
-        `authenticate` returns when rosserial may begin, or raises ConnectionRefusedError.
+        `authenticate` returns when the protocol may begin, or raises ConnectionRefusedError.
         """
         self._context = contextvars.copy_context()  # log lines have the caller's bound keys
         opening = partial(self._open, authenticate)
@@ -290,7 +252,7 @@ class Link:
         return self._transport.descriptor()
 
     @property
-    def topics(self) -> tuple[TopicInfo, ...]:
+    def topics(self) -> tuple[DeviceEndpoint, ...]:
         """Topics that the device has announced."""
         return self.session.topics
 
@@ -314,7 +276,7 @@ class Link:
 
     def captured(self, since: tuple[int, int] = (0, 0)) -> Captured:
         """Captured traffic after the first `since` bytes from the device and to it, as far as it is kept."""
-        return captured(self._from_device, self._to_device, since)
+        return captured(self._from_device, self._to_device, since, self.session.rest_of_frame_bytes)
 
     # -- from the device ----------------------------------------------------------------------------------------------
 
@@ -337,7 +299,7 @@ class Link:
         self.came_s = reader.came_s
         data = reader.rest or self._transport.read(self._piece.size_bytes)
         reader.rest = b""
-        if len(data) > FIRST_BYTES and is_crowded(data):
+        if len(data) > FIRST_BYTES and session.is_crowded(data):
             data, reader.rest = data[:FIRST_BYTES], data[FIRST_BYTES:]
         self._from_device.add(data, now_s)
         was_steady = session.is_steady
@@ -362,8 +324,8 @@ class Link:
             self._finish(LinkEnd.PEER_CLOSED)
 
     def _silent_at_s(self) -> float:
-        """Time at which silence ends the link; earlier for a device that requests the time regularly."""
-        limit_s = self._regular_limit_s if self.session.negotiation.is_regular else self._idle_limit_s
+        """Time at which silence ends the link; earlier for a device that sends something regularly."""
+        limit_s = self._regular_limit_s if self.session.is_regular else self._idle_limit_s
         return self.received_at_s + limit_s
 
     def _dispatch(self, found: list[Event], now_s: float, *, is_timer_right: bool) -> None:

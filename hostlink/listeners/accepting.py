@@ -14,12 +14,14 @@ import structlog
 from hostlink.acceptor import EXHAUSTED
 from hostlink.config import LinkConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.hub.hub import Hub
-from hostlink.link.link import INVITATION, Link, has_frame
+from hostlink.link.link import Link
 from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.listening import spelled
 from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.protocol.session import DeviceProtocol
 from hostlink.rate_limit import RateLimit
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import ignore
@@ -218,6 +220,7 @@ class UdpAcceptor(_Acceptor):
 
     def __init__(self, hub: Hub, config: UdpConfig) -> None:
         super().__init__(hub, config, "udp")
+        self._protocol: DeviceProtocol = ROSSERIAL
         self._config = config
         self._trusted = [ipaddress.ip_network(network) for network in config.trusted]
         self._devices = config.device_addresses()
@@ -237,17 +240,19 @@ class UdpAcceptor(_Acceptor):
         return False
 
     async def invite(self, ports: Sequence[UdpPort]) -> None:
-        """Send INVITATION to each configured device without a session, repeatedly, until cancelled."""
+        """Send the invitation to each configured device without a session, repeatedly, until cancelled."""
         while True:
             for address in self._devices:
                 is_ipv6 = ":" in address[0]
                 port = next((each for each in ports if (":" in each.address[0]) == is_ipv6), None)
                 if port is not None and address not in self._sessions:
-                    port.send(INVITATION, address)
+                    port.send(self._protocol.invitation, address)
             await asyncio.sleep(INVITE_S)
 
     def _is_greeting(self, datagram: Datagram) -> bool:
-        return datagram.data == HELLO if self._needs_key(datagram.source[0]) else has_frame(datagram.data)
+        return (
+            datagram.data == HELLO if self._needs_key(datagram.source[0]) else self._protocol.is_greeting(datagram.data)
+        )
 
     def _open(self, port: UdpPort, datagram: Datagram) -> bool:
         address, peer = datagram.source[0], spelled(*datagram.source[:2])

@@ -1,1 +1,1 @@
-"""rosserial protocol: frames, sessions, topic negotiation. No I/O and no clock."""
+"""Protocols that devices speak: DeviceSession and DeviceProtocol, and rosserial as their first implementation."""

@@ -1,9 +1,22 @@
-"""Events that a Session derives from a device's bytes."""
+"""Events that a DeviceSession derives from a device's bytes, and what belongs to them."""
 
 from typing import NamedTuple
 
 from hostlink.errors import HostlinkError
-from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.endpoint import DeviceEndpoint
+
+LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
+
+
+class Parameter(NamedTuple):
+    """Answer to a parameter request.
+
+    One of the three fields is filled; all are empty when the parameter does not exist.
+    """
+
+    ints: tuple[int, ...] = ()
+    floats: tuple[float, ...] = ()
+    strings: tuple[str, ...] = ()
 
 
 class TopicsNegotiated(NamedTuple):
@@ -13,7 +26,7 @@ class TopicsNegotiated(NamedTuple):
     the device were dropped. `gap_at`: an id whose TopicInfo was lost; the session requests the topics again.
     """
 
-    topics: tuple[TopicInfo, ...]
+    topics: tuple[DeviceEndpoint, ...]
     is_changed: bool
     gap_at: int | None
 
@@ -21,7 +34,7 @@ class TopicsNegotiated(NamedTuple):
 class TopicRefused(NamedTuple):
     """One endpoint cannot be used. The other endpoints of the device are not affected."""
 
-    topic: TopicInfo
+    topic: DeviceEndpoint
     reason: HostlinkError
 
 
@@ -40,21 +53,21 @@ class TopicsAnswered(NamedTuple):
 class MessageReceived(NamedTuple):
     """The device published a message."""
 
-    topic: TopicInfo
+    topic: DeviceEndpoint
     payload: bytes
 
 
 class ServiceRequested(NamedTuple):
     """The device calls a service of the host."""
 
-    service: TopicInfo
+    service: DeviceEndpoint
     payload: bytes
 
 
 class ServiceResponded(NamedTuple):
     """A service of the device answered."""
 
-    service: TopicInfo
+    service: DeviceEndpoint
     payload: bytes
 
 
@@ -69,7 +82,7 @@ class ParameterRequested(NamedTuple):
 
 
 class DeviceLogged(NamedTuple):
-    """The device's program logged a line; `level` indexes control.LOG_LEVELS."""
+    """The device's program logged a line; `level` indexes LOG_LEVELS."""
 
     level: int
     text: str

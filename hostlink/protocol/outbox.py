@@ -2,19 +2,27 @@
 
 import math
 from collections import deque
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
 from hostlink.errors import DeviceBusy
-from hostlink.protocol.control import encode_time
-from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, STOP_REQUEST, TOPICS_REQUEST, Id, encode
 
 LOOP_S = 1 / 30  # docs/paper-robot.md#numbers: one turn of the robot's loop, the longest that a stop may wait
 RING_BYTES = 128  # docs/paper-robot.md#numbers: the receive ring of the Due's UART, its largest burst
-TIME_BYTES = 16
-CONTROL_BYTES = TIME_BYTES + len(TOPICS_REQUEST)  # the most that may be sent ahead of a velocity
 VELOCITY_BYTES = 56
 MAX_REPLIES = 32
+
+
+class ControlFrames(NamedTuple):
+    """Frames of a protocol that carry no message. An empty one is never sent.
+
+    `time` returns the answer to a time request from the host's time in nanoseconds; its length is always the same.
+    `request` asks the device to announce itself. `end` requests it to stop sending.
+    """
+
+    time: Callable[[int], bytes]
+    request: bytes
+    end: bytes
 
 
 class OutgoingFrame(NamedTuple):
@@ -27,10 +35,12 @@ class OutgoingFrame(NamedTuple):
 class _QueuedFrame:
     """Queued frame and the time since when it waits: infinite until `begin_waiting`."""
 
-    __slots__ = ("frame", "is_awaited", "is_kept", "since_s")
+    __slots__ = ("frame", "is_awaited", "is_kept", "is_lasting", "since_s")
 
-    def __init__(self, frame: bytes, *, is_awaited: bool = False, is_kept: bool = False) -> None:
-        self.frame, self.is_awaited, self.is_kept = frame, is_awaited, is_kept
+    def __init__(
+        self, frame: bytes, *, is_awaited: bool = False, is_kept: bool = False, is_lasting: bool = False
+    ) -> None:
+        self.frame, self.is_awaited, self.is_kept, self.is_lasting = frame, is_awaited, is_kept, is_lasting
         self.since_s = math.inf
 
 
@@ -51,12 +61,14 @@ class Outbox:
     """
 
     __slots__ = (
-        "_busy_until_s", "_commands", "_is_request_due", "_is_stop_due", "_loop_bytes", "_new", "_replies",
-        "_uart_bytes_s", "_urgent", "is_stopped", "is_time_due", "prompt_bytes", "replaced", "robot_moves",
-        "slowest_wait_s",
+        "_busy_until_s", "_commands", "_control_bytes", "_is_request_due", "_is_stop_due", "_loop_bytes", "_new",
+        "_replies", "_time_bytes", "_uart_bytes_s", "_urgent", "control", "is_stopped", "is_time_due", "prompt_bytes",
+        "replaced", "robot_moves", "slowest_wait_s",
     )  # fmt: skip
 
-    def __init__(self, *, uart_bytes_s: int | None = None) -> None:
+    def __init__(self, control: ControlFrames, *, uart_bytes_s: int | None = None) -> None:
+        self.control, self._time_bytes = control, len(control.time(0))
+        self._control_bytes = self._time_bytes + len(control.request)  # the most that is sent ahead of a velocity
         self.replaced = 0
         self.slowest_wait_s = 0.0  # of all frames sent
         self.robot_moves = False
@@ -66,7 +78,7 @@ class Outbox:
         self._loop_bytes = float("inf") if uart_bytes_s is None else min(RING_BYTES, uart_bytes_s * LOOP_S)
         # Length of the longest frame that may be sent while the robot moves. On a line so slow that a velocity alone
         # takes longer than LOOP_S, other frames may be as long as a velocity.
-        self.prompt_bytes = max(self._loop_bytes - CONTROL_BYTES, VELOCITY_BYTES)
+        self.prompt_bytes = max(self._loop_bytes - self._control_bytes, VELOCITY_BYTES)
         self.is_stopped = False  # only queued urgent commands and the stop are still sent
         self.is_time_due = self._is_request_due = self._is_stop_due = False
         self._urgent: _Queues = {}
@@ -115,13 +127,13 @@ class Outbox:
         """Drop the commands of a topic that wait."""
         self.replaced += len(self._commands.pop(topic_id, ()))
 
-    def put_reply(self, name: str, frame: bytes) -> None:
-        """Queue an answer to a request of the device.
+    def put_reply(self, name: str, frame: bytes, *, is_lasting: bool = False) -> None:
+        """Queue an answer to a request of the device. `is_lasting`: it stays when messages are dropped.
 
         Raises:
             DeviceBusy: too many requests and answers wait.
         """
-        self._put_reply(name, _QueuedFrame(frame, is_awaited=True))
+        self._put_reply(name, _QueuedFrame(frame, is_awaited=True, is_lasting=is_lasting))
 
     def put_call(self, name: str, frame: bytes) -> None:
         """Queue a call of a service of the device.
@@ -136,15 +148,12 @@ class Outbox:
         self._put(self._commands, topic_id, _QueuedFrame(frame), depth=depth)
 
     def drop_messages(self) -> None:
-        """Drop every command, call and response, because topic ids may have changed their meaning.
-
-        Parameter answers are kept: their id never changes.
-        """
+        """Drop every command, call and response, because ids may have changed their meaning. Lasting replies stay."""
         self.robot_moves = False
         self._urgent.clear()
         self._commands.clear()
         for name, waiting in list(self._replies.items()):
-            kept = deque(one for one in waiting if HEADER.unpack_from(one.frame)[3] < FIRST_TOPIC_ID)
+            kept = deque(one for one in waiting if one.is_lasting)
             if kept:
                 self._replies[name] = kept
             else:
@@ -168,13 +177,13 @@ class Outbox:
         since_s = None
         if self.is_time_due and not self.is_stopped:
             self.is_time_due = False
-            frame = encode(Id.TIME, encode_time(wall_ns))
+            frame = self.control.time(wall_ns)
         elif self._is_request_due and not self.is_stopped:
             self._is_request_due = False
-            frame = TOPICS_REQUEST
+            frame = self.control.request
         elif (head := self._head()) is None:
             self._is_stop_due = False
-            frame = STOP_REQUEST
+            frame = self.control.end
         else:
             queues, key = head
             waiting = queues.pop(key)
@@ -194,15 +203,15 @@ class Outbox:
 
         None: no frame is queued that may be sent while the robot moves.
         """
-        size_bytes, spare_bytes = TIME_BYTES, 0
+        size_bytes, spare_bytes = self._time_bytes, 0
         if self.is_stopped or not (self.is_time_due or self._is_request_due):
             head = self._head()
             if head is not None:
                 queues, key = head
                 size_bytes = len(queues[key][0].frame)
-                spare_bytes = 0 if queues is self._urgent else CONTROL_BYTES
+                spare_bytes = 0 if queues is self._urgent else self._control_bytes
             elif self._is_stop_due:
-                size_bytes = len(STOP_REQUEST)
+                size_bytes = len(self.control.end)
             else:
                 return None
         if self._uart_bytes_s is None:

@@ -1,49 +1,16 @@
-"""Session: the host's side of the protocol with one device. Decides what bytes and times mean.
+"""DeviceSession: what a link and the hub know of a device, whatever protocol it speaks. DeviceProtocol makes them."""
 
-The Session owns the stream, the topics and the outbox. The Link moves the bytes and reads the clock.
-"""
-
-from collections.abc import Callable, Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from struct import error as StructError  # noqa: N812 - a class, named like one
 
-from hostlink.errors import BadRequest, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
-from hostlink.protocol import events
+from hostlink.compiled import mypyc_attr
+from hostlink.errors import FrameTooLarge, HostlinkError
+from hostlink.messages.catalog import Catalog
 from hostlink.protocol.clock import DeviceClock
-from hostlink.protocol.control import (
-    Parameter,
-    TopicInfo,
-    decode_log,
-    decode_parameter_request,
-    decode_topic_info,
-    encode_parameter,
-    to_device_key,
-)
-from hostlink.protocol.frame import (
-    FIRST_TOPIC_ID,
-    HEADER,
-    MAX_PAYLOAD_BYTES,
-    OVERHEAD_BYTES,
-    PROTOCOL_1_MAX_BYTES,
-    TOPICS_REQUEST,
-    Frame,
-    Id,
-    contains_protocol_1,
-    encode,
-)
-from hostlink.protocol.negotiation import NegotiationScheduler, SessionState
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.events import Event, Parameter
 from hostlink.protocol.outbox import Outbox, OutgoingFrame
-from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
-from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
-
-STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
-SLOW_FRAME_S = 11.0  # a device whose loop takes seconds sends a frame in two pieces; longer than that ends the link
-_IDS_FROM_DEVICE = frozenset(
-    {Id.PUBLISHER, Id.SUBSCRIBER, Id.SERVICE_SERVER_PUBLISHER, Id.SERVICE_SERVER_SUBSCRIBER, Id.PARAMETER, Id.LOG}
-    | {Id.SERVICE_CLIENT_PUBLISHER, Id.SERVICE_CLIENT_SUBSCRIBER, Id.TIME}
-)
-DEFAULT_BUFFER_BYTES = 512  # rosserial's default
-KEPT_BYTES = 1024  # a few boot messages, or a hundred lines of plain text
 
 
 @dataclass(slots=True)
@@ -58,228 +25,159 @@ class SessionCounts:
     unknown_ids: int = 0
     refused_frames: int = 0  # frames with an id that only the host may use, or of a refused topic
     malformed: int = 0  # control frames with an undecodable payload
-    excess_topics: int = 0  # TopicInfos above max_topics
+    excess_topics: int = 0  # topics above max_topics
     negotiations: int = 0
     topic_requests: int = 0
 
 
-class NonRosserialBytes:
-    """The last skipped bytes, and whether they contained a frame of protocol version 1."""
+@mypyc_attr(allow_interpreted_subclasses=True)
+class DeviceSession(ABC):
+    """State of one device's protocol, host side: bytes and times in, events and frames out. No I/O and no clock.
 
-    __slots__ = ("is_protocol_1", "tail")
-
-    def __init__(self) -> None:
-        self.is_protocol_1 = False
-        self.tail = b""
-
-    def add(self, data: bytes) -> bool:
-        """Keep skipped bytes. Return True when they contain a frame of protocol version 1 for the first time."""
-        watched = self.tail[1 - PROTOCOL_1_MAX_BYTES :] + data
-        self.tail = (self.tail + data)[-KEPT_BYTES:]
-        if self.is_protocol_1 or not contains_protocol_1(watched):
-            return False
-        self.is_protocol_1 = True
-        return True
-
-
-class Session:
-    """State machine of one device, host side. All times are of one monotonic clock, in seconds.
-
-    States and transitions are SessionState and TRANSITIONS in `negotiation.py`. Messages of known topics are delivered
-    in every state.
+    All times are of one monotonic clock, in seconds. Methods raise the errors of hostlink that they name, and nothing
+    for what a device sends, however damaged it is.
     """
 
-    def __init__(
-        self,
-        *,
-        check: Callable[[TopicInfo], int | None],
-        uart_bytes_s: int | None = None,
-        max_topics: int = MAX_TOPICS,
-        is_lossy: bool = False,
-    ) -> None:
-        """Create the session of a new link.
-
-        `check` returns the fixed payload size of a topic's type, or None if it varies; it raises to refuse the topic.
-        `is_lossy`: the transport may lose whole frames without a trace, as UDP does.
-        """
+    def __init__(self, outbox: Outbox) -> None:
         self.counts = SessionCounts()
-        self.too_large = ""  # text about the last frame that was refused for its size
         self.device_clock = DeviceClock()
-        self.non_rosserial = NonRosserialBytes()
-        self._check = check
-        self._topics = TopicTable(max_topics)
-        self.outbox = Outbox(uart_bytes_s=uart_bytes_s)  # the link reads when its next frame may be sent
-        self._refused: dict[int, HostlinkError] = {}  # by `TopicInfo.key`
-        self._known: tuple[TopicInfo, ...] = ()
-        self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
-        self.negotiation = NegotiationScheduler()
-        self._is_lossy = is_lossy
-        self._has_dropped = False  # queued frames were dropped during this negotiation
+        self.outbox = outbox  # the link reads when its next frame may be sent
+        self.too_large = ""  # text about the last message that was refused for its size
+        self.foreign = b""  # the last bytes that are not of the protocol
 
     # -- what the link reports ----------------------------------------------------------------------------------------
 
-    def open(self, *, now_s: float) -> list[events.Event]:
-        """Request the topics of a new connection."""
-        self.negotiation.open(now_s)
-        found: list[events.Event] = []
-        self._request_if_due(now_s, found)
-        return found
+    @abstractmethod
+    def open(self, *, now_s: float) -> list[Event]:
+        """Begin a new connection."""
 
-    def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
+    @abstractmethod
+    def receive(self, data: bytes, *, now_s: float) -> list[Event]:
         """Process bytes from the device."""
-        self.counts.bytes_from_device += len(data)
-        if self._stream.pending:
-            self.negotiation.note_pause(now_s - self.negotiation.received_at_s)
-        self.negotiation.received_at_s = now_s
-        found: list[events.Event] = []
-        self._read(self._stream.feed(data), now_s, found)
-        if self.negotiation.pending is not None:
-            self._request_if_due(now_s, found)
-        return found
 
-    def tick(self, *, now_s: float) -> list[events.Event]:
+    @abstractmethod
+    def tick(self, *, now_s: float) -> list[Event]:
         """Do what is due by now. Call it at `deadline_s`."""
-        found: list[events.Event] = []
-        negotiation = self.negotiation
-        if self._stream.pending and now_s >= self._stalled_at_s():
-            negotiation.received_at_s = now_s
-            self._read(self._stream.give_up(), now_s, found)
-        if negotiation.is_quiet(now_s):
-            if self._stream.pending:
-                negotiation.mark_damaged()
-            found.append(self._finish_negotiation())
-        negotiation.tick(now_s)
-        self._request_if_due(now_s, found)
-        return found
 
-    @property
-    def is_steady(self) -> bool:
-        """Whether no topic request is scheduled or answered, and no part of a frame waits.
-
-        `deadline_s` moves only later while the session stays steady and no time is requested.
-        """
-        negotiation = self.negotiation
-        return negotiation.state is SessionState.READY and negotiation.pending is None and not self._stream.pending
-
+    @abstractmethod
     def deadline_s(self) -> float:
         """Time at which `tick` must be called if no byte arrives before."""
-        deadline_s = self.negotiation.deadline_s()
-        if self._stream.pending:
-            return min(deadline_s, self._stalled_at_s())
-        return deadline_s
 
-    def _stalled_at_s(self) -> float:
-        """Time at which the frame at the head of the stream is given up.
+    @property
+    @abstractmethod
+    def is_steady(self) -> bool:
+        """Whether `deadline_s` moves only later for as long as this is so."""
 
-        One with a known id or a part of a header is kept for long: a whole frame inside it is found all the same.
-        """
-        pending = self._stream.pending
-        is_kept = len(pending) < HEADER.size
-        if not is_kept:
-            topic_id: int = HEADER.unpack_from(pending)[3]
-            is_kept = topic_id in _IDS_FROM_DEVICE or topic_id in self._topics.by_key
-        return self.negotiation.received_at_s + (SLOW_FRAME_S if is_kept else STALLED_FRAME_S)
+    @property
+    def is_regular(self) -> bool:
+        """Whether a live device of this kind would have sent something within a few seconds."""
+        return False
+
+    def is_crowded(self, data: bytes) -> bool:  # noqa: ARG002 - for protocols with short messages
+        """Whether the bytes hold so many messages that others would wait for too long while they are read at once."""
+        return False
 
     def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
         """Remove and return the next frame. None: the queues are empty, or the device's UART is busy."""
         outgoing = self.outbox.pop_frame(now_s=now_s, wall_ns=wall_ns)
         if outgoing is not None:
-            if outgoing.frame is TOPICS_REQUEST:
-                self.device_clock.topics_requested(now_s)
-            elif self._is_lossy:
-                self._note_response(outgoing.frame, now_s)
             self.counts.frames_to_device += 1
             self.counts.bytes_to_device += len(outgoing.frame)
         return outgoing
 
-    def _note_response(self, frame: bytes, now_s: float) -> None:
-        topic_id: int = HEADER.unpack_from(frame)[3]
-        info = self._topics.by_key.get(to_device_key(topic_id))
-        if info is not None and info.kind is Id.SERVICE_CLIENT_SUBSCRIBER:
-            self.negotiation.answered(now_s)
-
-    # -- what the hub reads and requests ------------------------------------------------------------------------------
+    @property
+    def bad_checksums(self) -> int:
+        """Number of rejected frame starts with a wrong checksum."""
+        return 0
 
     @property
-    def topics(self) -> tuple[TopicInfo, ...]:
-        """The usable endpoints of the last negotiation."""
-        return self._known
+    def wrong_sizes(self) -> int:
+        """Number of messages whose size is not that of their type."""
+        return 0
 
     @property
-    def longest_to_device_bytes(self) -> int:
-        """Length of the longest frame that may have been sent to the device."""
-        return max((_buffer_bytes(info) for info in self._known if info.is_to_device), default=DEFAULT_BUFFER_BYTES)
+    def is_outdated(self) -> bool:
+        """Whether the device speaks an older version of the protocol, which is not understood."""
+        return False
 
-    @property
-    def refusals(self) -> tuple[tuple[TopicInfo, HostlinkError], ...]:
-        """Endpoints that cannot be used, with the reason."""
-        known = ((self._topics.by_key.get(key), reason) for key, reason in self._refused.items())
-        return tuple((info, reason) for info, reason in known if info is not None)
+    def too_small(self, least_bytes: Callable[[str], int]) -> list[str]:  # noqa: ARG002 - for protocols with buffers
+        """Say which topics exceed a buffer of the device. `least_bytes` returns the smallest size of a type, or 0."""
+        return []
 
-    @property
-    def fixed_bytes(self) -> Mapping[int, int]:
-        """`TopicInfo.key` -> the only payload size that its type can have."""
-        return self._topics.fixed_bytes
+    def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:  # noqa: ARG002 - for protocols without frames
+        """Number of bytes before the first whole frame of captured bytes whose beginning is lost."""
+        return 0
 
     @property
     def rejected(self) -> dict[str, int]:
         """Number of rejected frame starts, by cause."""
-        return {cause.value: count for cause, count in self._stream.rejected.items()}
+        return {}
 
-    def probe(self) -> None:
-        """Ask something that a working device answers (TopicsAnswered), once in REQUEST_INTERVAL_S."""
-        self.negotiation.probe()
+    # -- what the device is -------------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def topics(self) -> tuple[DeviceEndpoint, ...]:
+        """The usable endpoints of the last announcement."""
+
+    @property
+    def refusals(self) -> tuple[tuple[DeviceEndpoint, HostlinkError], ...]:
+        """Endpoints that cannot be used, with the reason."""
+        return ()
+
+    def is_refused(self, endpoint: DeviceEndpoint) -> bool:  # noqa: ARG002 - for protocols that check types
+        """Whether this endpoint was refused because of its type."""
+        return False
+
+    @abstractmethod
+    def has(self, endpoint: DeviceEndpoint) -> bool:
+        """Whether the device still has this endpoint."""
+
+    def may_have(self, endpoint: DeviceEndpoint) -> bool:
+        """Whether the device may still have this endpoint although a damaged announcement lacks it."""
+        return self.has(endpoint)
+
+    @abstractmethod
+    def announcement(self, endpoints: Iterable[DeviceEndpoint]) -> bytes:
+        """Return the bytes with which the device announces these, for the beginning of a capture."""
+
+    def probe(self) -> None:  # noqa: B027 - for protocols that can ask
+        """Ask something that a working device answers (TopicsAnswered), at most once a second.
+
+        Where a protocol has no such thing, only the device's silence tells whether it is alive.
+        """
 
     # -- what the hub sends -------------------------------------------------------------------------------------------
 
+    @abstractmethod
     def publish(
         self, topic: str, payload: bytes, *, depth: int = 1, is_urgent: bool = False, is_kept: bool = False
     ) -> None:
-        """Queue a message to the device.
+        """Queue a message to the device. The newest `depth` wait; an urgent one precedes what is not.
 
         Raises:
             UnknownTopic: the device does not subscribe to it.
             WrongType: the payload has not the size of the topic's type, or the topic was refused.
             FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
         """
-        info, frame = self._to_topic(topic, payload)
-        if is_urgent:
-            self.outbox.put_urgent(info.topic_id, frame, is_kept=is_kept)
-        else:
-            self.outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 
-    def send_zero(self, info: TopicInfo, payload: bytes, *, is_kept: bool = False) -> bool:
-        """Queue a zero velocity for an endpoint that has taken one before, unless its id has a new meaning since.
-
-        A damaged announcement may have changed or removed the endpoint, which the device has all the same: a zero is
-        not refused for that. Return whether it was queued.
-        """
-        may_have = self.may_have(info)
-        if may_have:
-            self.outbox.put_urgent(info.topic_id, encode(info.topic_id, payload), is_kept=is_kept)
-        return may_have
-
-    def may_have(self, info: TopicInfo) -> bool:
-        """Whether the device may still have this endpoint: its id has no other name, type and md5 sum now."""
-        now = self._topics.by_key.get(info.key)
-        return now is None or now.name == info.name or now.type == info.type or now.md5 == info.md5
-
-    def endpoint_of(self, topic: str, payload: bytes) -> TopicInfo:
+    @abstractmethod
+    def endpoint_of(self, topic: str, payload: bytes) -> DeviceEndpoint:
         """Return the endpoint of a topic to which the device subscribes. It takes messages as long as this one.
 
         Raises:
             HostlinkError: as from `publish`.
         """
-        return self._to_topic(topic, payload)[0]
 
-    def service_endpoint(self, service: str, payload: bytes) -> TopicInfo:
+    @abstractmethod
+    def service_endpoint(self, service: str, payload: bytes) -> DeviceEndpoint:
         """Return the endpoint that takes the requests to a service of the device. It takes one as long as this one.
 
         Raises:
             HostlinkError: as from `call`.
         """
-        return self._to_service(service, payload)[0]
 
+    @abstractmethod
     def call(self, service: str, payload: bytes) -> None:
         """Queue a request to a service of the device.
 
@@ -289,44 +187,33 @@ class Session:
             FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
             DeviceBusy: too many requests and responses wait.
         """
-        info, frame = self._to_service(service, payload)
-        self.outbox.put_call(service, self._prompt(info, frame))
 
-    def response_endpoint(self, request: TopicInfo) -> TopicInfo:
+    @abstractmethod
+    def response_endpoint(self, request: DeviceEndpoint) -> DeviceEndpoint:
         """Return the endpoint at which the device receives the response to a request of this endpoint.
 
         Raises:
             UnknownTopic: the device announced no such endpoint.
         """
-        found = self._topics.response_to(request)
-        if found is None:
-            raise UnknownTopic("endpoint for responses", request.name)
-        return found
 
-    def has(self, info: TopicInfo) -> bool:
-        """Whether the device still has this endpoint."""
-        return self._topics.by_key.get(info.key) == info
-
-    def is_refused(self, info: TopicInfo) -> bool:
-        """Whether this endpoint was refused because of its type."""
-        return info.key in self._refused
-
-    def respond(self, response: TopicInfo, payload: bytes | None) -> None:
-        """Queue a response to a request of the device.
-
-        `payload` is None when the layout is unknown. Then zeros are sent: they decode as empty strings, empty lists and
-        zero in any layout. With fewer bytes than its layout needs, a device would read old data in its buffer.
+    @abstractmethod
+    def respond(self, response: DeviceEndpoint, payload: bytes | None) -> None:
+        """Queue a response to a request of the device; None: its layout is unknown.
 
         Raises:
             FrameTooLarge: the device's buffer is smaller.
             DeviceBusy: too many requests and responses wait.
         """
-        if payload is None:
-            room_bytes = min(_buffer_bytes(response), DEFAULT_BUFFER_BYTES) - OVERHEAD_BYTES
-            payload = bytes(self._topics.fixed_bytes.get(response.key, max(room_bytes, 0)))
-        frame = self._fitting(response.name, response.topic_id, payload, _buffer_bytes(response))
-        self.outbox.put_reply(response.name, frame)
 
+    @abstractmethod
+    def room_bytes(self, endpoint: DeviceEndpoint) -> int:
+        """Longest payload that the device takes at an endpoint."""
+
+    def too_long(self, endpoint: DeviceEndpoint, payload_bytes: int) -> FrameTooLarge:
+        """Return the error about a payload that exceeds the room of an endpoint."""
+        return FrameTooLarge(endpoint.name, payload_bytes, self.room_bytes(endpoint))
+
+    @abstractmethod
     def answer_parameter(self, name: str, parameter: Parameter) -> None:
         """Queue the answer to a parameter request. An empty Parameter means that the parameter does not exist.
 
@@ -335,198 +222,45 @@ class Session:
             FrameTooLarge: the smallest buffer of the device is smaller.
             DeviceBusy: too many requests and responses wait.
         """
-        what = f"parameter {name}"
-        try:
-            payload = encode_parameter(parameter)
-        except (StructError, OverflowError) as error:
-            raise WrongType(what, "int32 or float32", str(error)) from error
-        buffers_bytes = (_buffer_bytes(info) for info in self._known if info.is_to_device)
-        limit_bytes = min(buffers_bytes, default=DEFAULT_BUFFER_BYTES)
-        self.outbox.put_reply(name, self._fitting(what, Id.PARAMETER, payload, limit_bytes))
 
     def stop(self) -> None:
         """Queue the request to stop sending, after the urgent commands. It is the last frame of the session."""
         self.outbox.put_stop()
 
-    def _endpoint(self, what: str, name: str, kind: Id) -> TopicInfo:
-        info = self._topics.by_name.get((name, kind))
-        if info is None:
-            raise UnknownTopic(what, name, tuple(known.name for known in self._known if known.kind is kind))
-        if info.key in self._refused:
-            raise self._refused[info.key].with_traceback(None)  # otherwise the traceback grows with each raise
-        return info
+    # -- how the device is stopped ------------------------------------------------------------------------------------
 
-    def _to_topic(self, topic: str, payload: bytes) -> tuple[TopicInfo, bytes]:
-        """Return the endpoint of a topic to which the device subscribes, and the frame of a message to it."""
-        info = self._endpoint("topic", topic, Id.SUBSCRIBER)
-        return info, self._encode(info, payload)
+    @abstractmethod
+    def send_zero(self, endpoint: DeviceEndpoint, payload: bytes, *, is_kept: bool = False) -> bool:
+        """Queue a zero for an endpoint that has taken one before, if the device `may_have` it. Return whether so."""
 
-    def _to_service(self, service: str, payload: bytes) -> tuple[TopicInfo, bytes]:
-        """Return the endpoint of a service of the device, and the frame of a request to it."""
-        info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
-        return info, self._encode(info, payload)
+    @abstractmethod
+    def zero_frame(self, endpoint: DeviceEndpoint, payload: bytes) -> bytes:
+        """Return the bytes of a zero that may be sent at any time and again: by the link's end, or the guardian."""
 
-    def _encode(self, info: TopicInfo, payload: bytes) -> bytes:
-        fixed_bytes = self._topics.fixed_bytes.get(info.key)
-        if fixed_bytes is not None and len(payload) != fixed_bytes:
-            raise WrongType(info.name, f"{info.type} of {fixed_bytes} bytes", f"{len(payload)} bytes")
-        return self._fitting(info.name, info.topic_id, payload, _buffer_bytes(info))
+    @property
+    def end_frame(self) -> bytes:
+        """Bytes that request the device to stop sending; empty if there are none."""
+        return self.outbox.control.end
 
-    def _fitting(self, what: str, topic_id: int, payload: bytes, limit_bytes: int) -> bytes:
-        """Encode the frame. Raise FrameTooLarge if it exceeds the device's buffer."""
-        if len(payload) + OVERHEAD_BYTES > limit_bytes:
-            error = FrameTooLarge(what, len(payload) + OVERHEAD_BYTES, limit_bytes)
-            self.too_large = str(error)
-            raise error
-        return encode(topic_id, payload)
+    @property
+    def claim_bytes(self) -> int:
+        """Length of the longest frame that may have been sent in part, and takes the next bytes for its rest.
 
-    def _prompt(self, info: TopicInfo, frame: bytes) -> bytes:
-        """Return the frame. Raise FrameTooLarge if it would delay a stop."""
-        if self.outbox.robot_moves and len(frame) > self.outbox.prompt_bytes:
-            raise FrameTooLarge(info.name, len(frame), int(self.outbox.prompt_bytes), when="while the robot moves")
-        return frame
-
-    # -- frames -------------------------------------------------------------------------------------------------------
-
-    def _read(self, items: Iterator[Frame | Skipped], now_s: float, found: list[events.Event]) -> None:
-        """Derive the events of frames and skipped bytes."""
-        negotiation = self.negotiation
-        for item in items:
-            if isinstance(item, Skipped):
-                self._skip(item.data, found)
-                continue
-            self.counts.frames_from_device += 1
-            topic_id, payload = item
-            if topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER:
-                self._add_topic_info(Id(topic_id), payload, now_s, found)
-                continue
-            if negotiation.state is SessionState.NEGOTIATING and self._is_behind_topics(topic_id):
-                found.append(self._finish_negotiation())
-            if topic_id < FIRST_TOPIC_ID:
-                self._answer(item, now_s, found)
-                continue
-            info = self._topics.by_key.get(topic_id)
-            if info is None and to_device_key(topic_id) in self._topics.by_key:
-                self.counts.refused_frames += 1
-            elif info is None:
-                self.counts.unknown_ids += 1
-                negotiation.request_about(topic_id, "unknown_id")
-                found.append(events.UnknownTopicUsed(topic_id))
-            elif info.kind is Id.SERVICE_CLIENT_PUBLISHER:  # also of a refused type: the device waits for a response
-                negotiation.called(negotiation.received_at_s)
-                found.append(events.ServiceRequested(info, payload))
-            elif topic_id in self._refused:
-                self.counts.refused_frames += 1
-            elif info.kind is Id.PUBLISHER:
-                found.append(events.MessageReceived(info, payload))
-            else:
-                found.append(events.ServiceResponded(info, payload))
-
-    def _answer(self, frame: Frame, now_s: float, found: list[events.Event]) -> None:
-        """Handle a control frame. Answer time requests here; report the others to the hub."""
-        if frame.topic_id == Id.TIME:
-            self.negotiation.time_requested(now_s)
-            self.outbox.put_time()
-            found.append(events.TimeRequested())
-        elif frame.topic_id == Id.LOG and (log := decode_log(frame.payload)) is not None:
-            found.append(events.DeviceLogged(log.level, log.text))
-        elif frame.topic_id == Id.PARAMETER and (name := decode_parameter_request(frame.payload)) is not None:
-            found.append(events.ParameterRequested(name))
-        else:
-            self.counts.malformed += 1
-
-    def _skip(self, data: bytes, found: list[events.Event]) -> None:
-        self.counts.skipped_bytes += len(data)
-        self.negotiation.mark_damaged()
-        if self.non_rosserial.add(data):
-            found.append(events.Protocol1Recognised())
-
-    # -- negotiation --------------------------------------------------------------------------------------------------
-
-    def _add_topic_info(self, kind: Id, payload: bytes, now_s: float, found: list[events.Event]) -> None:
-        info = decode_topic_info(kind, payload)
-        if info is None or info.topic_id < FIRST_TOPIC_ID:
-            self.counts.malformed += 1
-            return
-        may_go_on = not self._topics.has_announced(info.key)
-        if self.negotiation.topic_info_received(now_s, may_go_on=may_go_on):
-            self._topics.begin()
-        if not self._topics.is_room(info.key):
-            self._refuse_excess(info, found)
-            return
-        if self._topics.by_key.get(info.key) not in (None, info):  # frames wait for the old meaning
-            self.outbox.drop_messages()
-            self._has_dropped = True
-        self._refused.pop(info.key, None)
-        asked_at_s = self.device_clock.topics_answered(now_s)
-        if asked_at_s is not None:
-            found.append(events.TopicsAnswered(asked_at_s))
-        fixed_bytes = None
-        try:
-            fixed_bytes = self._check(info)
-        except HostlinkError as error:
-            reason = error.with_traceback(None)  # a traceback would keep `found` and the error alive in a cycle
-            self._refused[info.key] = reason
-            found.append(events.TopicRefused(info, reason))
-        if info.kind is Id.SERVICE_CLIENT_PUBLISHER:
-            fixed_bytes = None  # every request is answered, even of a wrong size
-        self._topics.add(info, fixed_bytes)
-        if not info.is_to_device:
-            self._stream.limit_bytes = max(self._stream.limit_bytes, info.buffer_bytes)
-
-    def _refuse_excess(self, info: TopicInfo, found: list[events.Event]) -> None:
-        """Count a topic above max_topics. Report the first one of a negotiation."""
-        self.counts.excess_topics += 1
-        self._topics.excess += 1
-        if self._topics.excess == 1:
-            reason = f"{info.name}: the device has more than {self._topics.max_topics} topics ([link] max_topics)"
-            found.append(events.TopicRefused(info, BadRequest(reason)))
-
-    def _is_behind_topics(self, topic_id: int) -> bool:
-        """Whether a frame shows that the device has announced all of its topics.
-
-        A log line does not: a passthrough may insert its own log line anywhere. A configured device continues to
-        publish while it announces its topics again. Until it has announced as many as before, only a pause ends the
-        negotiation.
+        0 where each write is a whole message.
         """
-        is_behind = topic_id == Id.TIME or (topic_id != Id.LOG and not self._topics.is_partial)
-        return is_behind and self.negotiation.may_finish
-
-    def _finish_negotiation(self) -> events.TopicsNegotiated:
-        self._topics.finish(refused=self._refused)
-        self._stream.limit_bytes = max(DEFAULT_LIMIT_BYTES, self._topics.largest_from_device_bytes())
-        self._refused = {key: why for key, why in self._refused.items() if key in self._topics.by_key}
-        self.counts.negotiations += 1
-        known = tuple(info for info in self._topics.all() if info.key not in self._refused)
-        is_changed = known != self._known
-        if is_changed:
-            self.outbox.drop_messages()
-            self.negotiation.forget_causes()
-        self._known = known
-        has_dropped, self._has_dropped = self._has_dropped, False
-        gap_at = self._topics.gap()
-        is_unconfirmed = self._is_lossy and is_changed
-        self.negotiation.finish(
-            gap_at,
-            is_short=bool(self._topics.missing),
-            is_altered=self._topics.is_altered,
-            is_unconfirmed=is_unconfirmed,
-        )
-        return events.TopicsNegotiated(known, is_changed or has_dropped, gap_at)
-
-    def _request_if_due(self, now_s: float, found: list[events.Event]) -> None:
-        reason = self.negotiation.pop_request(now_s)
-        if reason is not None:
-            self.counts.topic_requests += 1
-            self.outbox.put_topics_request()
-            found.append(events.TopicsRequested(reason))
+        return 0
 
 
-def response_bytes(response: TopicInfo) -> int:
-    """Longest payload of a response that fits the device's buffer."""
-    return _buffer_bytes(response) - OVERHEAD_BYTES
+class DeviceProtocol(ABC):
+    """A protocol that devices speak: creates the session of each connection, and knows its bytes without a session."""
 
+    name: str
+    invitation = b""  # sent to a silent device of a datagram port, which then begins
 
-def _buffer_bytes(info: TopicInfo) -> int:
-    """The device's buffer, limited to the longest frame. Old clients announce none and get DEFAULT_BUFFER_BYTES."""
-    return min(info.buffer_bytes, MAX_PAYLOAD_BYTES + OVERHEAD_BYTES) if info.buffer_bytes > 0 else DEFAULT_BUFFER_BYTES
+    @abstractmethod
+    def session(self, catalog: Catalog, *, uart_bytes_s: int | None, max_topics: int, is_lossy: bool) -> DeviceSession:
+        """Create the session of a new connection. `is_lossy`: the transport may lose messages without a trace."""
+
+    @abstractmethod
+    def is_greeting(self, data: bytes) -> bool:
+        """Whether a datagram of an unknown sender is of this protocol."""

@@ -17,18 +17,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hostlink.protocol.control import (
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.events import Parameter
+from hostlink.protocol.rosserial.control import (
     Log,
-    Parameter,
-    TopicInfo,
     decode_log,
     decode_parameter_request,
     decode_topic_info,
     encode_parameter,
     encode_time,
 )
-from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.robot.course import CourseFollower, Leg
 from hostlink.robot.kinematics import Pose, placed
 from hostlink.robot.odometry import OdometryCorrection
@@ -455,13 +455,13 @@ class FirmwareWorld:
                 values = self.device_parameters.get(full.removeprefix(f"/{self.name}/"), ())
                 self.send(encode(Id.PARAMETER, encode_parameter(Parameter(floats=tuple(map(float, values))))))
             case Id.PUBLISHER | Id.SUBSCRIBER:
-                self._learn(decode_topic_info(Id(frame.topic_id), frame.payload))
+                self._learn(decode_topic_info(EndpointKind(frame.topic_id), frame.payload))
             case _:
                 self.frames.append(frame)
 
-    def _learn(self, info: TopicInfo | None) -> None:
+    def _learn(self, info: DeviceEndpoint | None) -> None:
         if info is not None:
-            self.topics[info.name.removeprefix(f"/{self.name}/")] = info.topic_id
+            self.topics[info.name.removeprefix(f"/{self.name}/")] = info.id
 
 
 # -- courses ----------------------------------------------------------------------------------------------------------

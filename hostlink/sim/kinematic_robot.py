@@ -6,9 +6,10 @@ It has no motors, no slip and no UART: what the firmware's world has. Pure: time
 import math
 from struct import Struct
 
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import FIRST_TOPIC_ID, Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.robot.kinematics import (
     AckermannDrive,
     Drive,
@@ -155,14 +156,30 @@ class KinematicRobot(SimulatedBoard):
         self._target = self.drive.limited(self.drive.possible(velocity), MAX_WHEEL_M_S)
         self._commanded_s = self._clock_s
 
-    def _topics(self) -> list[TopicInfo]:
+    def _topics(self) -> list[DeviceEndpoint]:
         topics = [
-            TopicInfo(Id.PUBLISHER, ODOMETRY_ID, f"{self.name}/odom", "nav_msgs/Odometry", ODOMETRY_MD5, BUFFER_BYTES),
-            TopicInfo(Id.SUBSCRIBER, TWIST_ID, f"{self.name}/cmd_vel", "geometry_msgs/Twist", TWIST_MD5, BUFFER_BYTES),
+            DeviceEndpoint(
+                EndpointKind.PUBLISHER,
+                ODOMETRY_ID,
+                f"{self.name}/odom",
+                "nav_msgs/Odometry",
+                ODOMETRY_MD5,
+                BUFFER_BYTES,
+            ),
+            DeviceEndpoint(
+                EndpointKind.SUBSCRIBER,
+                TWIST_ID,
+                f"{self.name}/cmd_vel",
+                "geometry_msgs/Twist",
+                TWIST_MD5,
+                BUFFER_BYTES,
+            ),
         ]
         if isinstance(self.drive, AckermannDrive):
             name, type_name = f"{self.name}/ackermann_cmd", "ackermann_msgs/AckermannDrive"
-            topics.append(TopicInfo(Id.SUBSCRIBER, ACKERMANN_ID, name, type_name, ACKERMANN_MD5, BUFFER_BYTES))
+            topics.append(
+                DeviceEndpoint(EndpointKind.SUBSCRIBER, ACKERMANN_ID, name, type_name, ACKERMANN_MD5, BUFFER_BYTES)
+            )
         return topics
 
     def _step(self) -> None:

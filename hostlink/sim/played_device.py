@@ -5,10 +5,11 @@ import contextlib
 from dataclasses import dataclass, field, replace
 
 from hostlink.cancellation import meanwhile, raise_if_cancelled
-from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic_info
-from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
-from hostlink.protocol.topic_table import MAX_TOPICS
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import decode_topic_info, encode_topic_info
+from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.protocol.rosserial.topic_table import MAX_TOPICS
 
 MAX_SUBSCRIBERS = 25  # of the original library, whose published topics have the ids after those
 READ_BYTES = 4096
@@ -46,7 +47,7 @@ class PlayedDevice:
     _mark: str = field(init=False)
     _writer: asyncio.StreamWriter | None = None
     _ids: dict[str, int] = field(default_factory=dict)  # of the published topics
-    _infos: list[TopicInfo] = field(default_factory=list)
+    _infos: list[DeviceEndpoint] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._mark = f"/{self.robot}/{_PLAYED}"
@@ -57,14 +58,14 @@ class PlayedDevice:
         taken = [topic for topic in self.topics if _is_taken(topic)][:MAX_TOPICS]
         subscribed = [topic for topic in taken if topic.is_velocity]
         published = [mark, *(topic for topic in taken if not topic.is_velocity)]
-        self._add(Id.PUBLISHER, FIRST_TOPIC_ID + max(MAX_SUBSCRIBERS, len(subscribed)), published)
-        self._add(Id.SUBSCRIBER, FIRST_TOPIC_ID, subscribed)
+        self._add(EndpointKind.PUBLISHER, FIRST_TOPIC_ID + max(MAX_SUBSCRIBERS, len(subscribed)), published)
+        self._add(EndpointKind.SUBSCRIBER, FIRST_TOPIC_ID, subscribed)
 
-    def _add(self, kind: Id, first_id: int, topics: list[PlayedTopic]) -> None:
+    def _add(self, kind: EndpointKind, first_id: int, topics: list[PlayedTopic]) -> None:
         for topic_id, topic in enumerate(topics, first_id):
-            if kind is Id.PUBLISHER:
+            if kind is EndpointKind.PUBLISHER:
                 self._ids[topic.name] = topic_id
-            self._infos.append(TopicInfo(kind, topic_id, topic.name, topic.type_name, topic.md5, BUFFER_BYTES))
+            self._infos.append(DeviceEndpoint(kind, topic_id, topic.name, topic.type_name, topic.md5, BUFFER_BYTES))
 
     def publish(self, topic: str, payload: bytes) -> None:
         """Send a message of one of the topics."""
@@ -136,5 +137,5 @@ class PlayedDevice:
 
 def _is_taken(topic: PlayedTopic) -> bool:
     """Whether a host accepts the announcement of the topic. A recording may have names that no device has."""
-    info = TopicInfo(Id.PUBLISHER, FIRST_TOPIC_ID, topic.name, topic.type_name, topic.md5, BUFFER_BYTES)
+    info = DeviceEndpoint(EndpointKind.PUBLISHER, FIRST_TOPIC_ID, topic.name, topic.type_name, topic.md5, BUFFER_BYTES)
     return decode_topic_info(info.kind, encode_topic_info(info)) is not None

@@ -5,10 +5,11 @@ from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import Any
 
-from hostlink.protocol.control import decode_topic_info, encode_topic_info
-from hostlink.protocol.frame import Frame, Id, byte_sum, encode
-from hostlink.protocol.resampling import resample
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import decode_topic_info, encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, byte_sum, encode
+from hostlink.protocol.rosserial.resampling import resample
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.sim.board import SimulatedBoard
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import Firmware, RobotKind, SimulatedWheel
@@ -96,7 +97,7 @@ def _without(ids: Container[int]) -> Callable[[Frame], bytes]:
     return lambda frame: b"" if frame.topic_id in ids else encode(*frame)
 
 
-def _announcing(kind: Id, **changes: Any) -> Callable[[Frame], bytes]:
+def _announcing(kind: EndpointKind, **changes: Any) -> Callable[[Frame], bytes]:
     """Change what the announcements of topics of one kind say."""
 
     def transform(frame: Frame) -> bytes:
@@ -125,10 +126,10 @@ FAULTS = {
     "protocol_1": Fault(transform=_in_protocol_1),  # a library of before 2013
     "text": Fault(transform=lambda frame: _TEXT + encode(*frame)),  # Serial.print between the frames
     "no_topics": Fault(transform=_without(range(Id.SERVICE_CLIENT_SUBSCRIBER + 1))),  # TopicInfos never come
-    "wrong_md5": Fault(transform=_announcing(Id.PUBLISHER, md5="0" * 32)),  # an old definition of a message
+    "wrong_md5": Fault(transform=_announcing(EndpointKind.PUBLISHER, md5="0" * 32)),  # an old definition of a message
     "time_stops": Fault(time_requests=1),  # its requests for the time end after the first
     "small_buffer": Fault(
-        transform=_announcing(Id.SUBSCRIBER, buffer_bytes=_TWIST_BYTES)
+        transform=_announcing(EndpointKind.SUBSCRIBER, buffer_bytes=_TWIST_BYTES)
     ),  # a frame of a Twist is longer
     "reboots": Fault(runs_s=RUN_S),  # starts anew every RUN_S seconds
     "boot_noise": Fault(at_power_up=resample(_BOOT_TEXT, ratio=_BOOT_RATIO)),  # an ESP8266's boot message

@@ -13,7 +13,7 @@ from typing import Any
 
 from hostlink.cancellation import meanwhile
 from hostlink.errors import system_text
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.rosserial.frame import Id, encode
 from hostlink.sim.board import SimulatedBoard
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import RobotKind

@@ -5,8 +5,9 @@ import struct
 
 import pytest
 
-from hostlink.protocol.control import Parameter, decode_log, decode_parameter_request, encode_parameter
-from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.events import Parameter
+from hostlink.protocol.rosserial.control import decode_log, decode_parameter_request, encode_parameter
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
 from hostlink.robot.kinematics import Pose
 from hostlink.sim.firmware_world import Firmware
 from tests.firmware.due import Retry, Robot, robot

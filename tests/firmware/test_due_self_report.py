@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import Parameter, decode_topic_info
-from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Id, encode
+from hostlink.protocol.events import Parameter
+from hostlink.protocol.rosserial.control import decode_topic_info
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Id, encode
 from tests.firmware.due import ROOT, Robot, library, robot
 from tests.firmware.test_due_robot import Track, logged, velocity
 from tests.firmware.worlds import world
@@ -47,7 +48,7 @@ def test_topics_of_the_report_have_the_types_of_ros() -> None:
             type_ = CATALOG.message(info.type)
             assert type_ is not None
             assert info.md5 == type_.md5
-        assert {(info.topic_id, info.name) for info in infos if info} >= {
+        assert {(info.id, info.name) for info in infos if info} >= {
             (BATTERY, "/robot_0/battery"),
             (ERRORS, "/robot_0/errors"),
         }

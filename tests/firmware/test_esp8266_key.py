@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hostlink.config import Config, TcpConfig
-from hostlink.protocol.frame import encode
+from hostlink.protocol.rosserial.frame import encode
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
 from hostlink.transport.keyed import ANSWER_BYTES, MAGIC, proof

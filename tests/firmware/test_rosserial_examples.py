@@ -15,7 +15,7 @@ import pytest
 from hostlink import client
 from hostlink.config import Config, TcpConfig
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.frame import OVERHEAD_BYTES, TOPICS_REQUEST
+from hostlink.protocol.rosserial.frame import OVERHEAD_BYTES, TOPICS_REQUEST
 from tests.firmware.examples import EXAMPLES
 from tests.firmware.sketches import KEY, WITH_KEY, build, running
 from tests.support.client_topics import publish_until, received

@@ -8,7 +8,7 @@ import pytest
 from hostlink import client
 from hostlink.config import Config
 from hostlink.protocol import events
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.session import Session
 from tests.firmware.due import ROOT, ROSSERIAL
 from tests.firmware.examples import BUILD, EXAMPLES
 from tests.firmware.families import UNO, image

@@ -11,9 +11,9 @@ from functools import cache
 import numpy as np
 from hypothesis import strategies as st
 
-from hostlink.protocol.control import decode_log
-from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.control import decode_log
+from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.sim.firmware_module import WorldParameters, wheel
 from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, ROSSERIAL
 from tests.support.compilers import UNDEFINED, run

@@ -19,8 +19,9 @@ import pytest
 from hostlink.config import Config
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.hub.participant import Participant
-from hostlink.protocol.frame import Frame, Id
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import Frame
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.robot.admission import LEASE_S, Admission
 from hostlink.robot.kinematics import DifferentialDrive
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
@@ -132,7 +133,7 @@ async def come_back_after_a_while(robot: Robot) -> None:
 
 
 async def announce_other_topics(robot: Robot) -> None:
-    robot.made.robot.infos.append(topic(Id.SUBSCRIBER, 102, f"/{ROBOT}/arm_vel", TWIST_TYPE))
+    robot.made.robot.infos.append(topic(EndpointKind.SUBSCRIBER, 102, f"/{ROBOT}/arm_vel", TWIST_TYPE))
     await robot.made.robot.announce()
     await asyncio.sleep(0.1)
 
@@ -647,7 +648,7 @@ def test_board_of_each_command_type_obeys_the_admission(name: str, entry_point: 
         lines = []
 
         def newest() -> list[tuple[int, bytes]]:
-            return [(number, made.robot.payloads(info.topic_id)[-1]) for number, info in enumerate(board.infos)]
+            return [(number, made.robot.payloads(info.id)[-1]) for number, info in enumerate(board.infos)]
 
         async def moves(event: str) -> None:
             await asyncio.sleep(0.5)
@@ -659,11 +660,11 @@ def test_board_of_each_command_type_obeys_the_admission(name: str, entry_point: 
 
         async def rests(event: str, for_s: float = 1.0) -> None:
             await asyncio.sleep(0.1)
-            before = [len(made.robot.payloads(info.topic_id)) for info in board.infos]
+            before = [len(made.robot.payloads(info.id)) for info in board.infos]
             lines.append((event, newest()))
             await asyncio.sleep(for_s)
             for number, info in enumerate(board.infos):
-                since = made.robot.payloads(info.topic_id)[before[number] - 1 :]
+                since = made.robot.payloads(info.id)[before[number] - 1 :]
                 assert since, lines
                 assert all(board.is_at_rest(number, payload) for payload in since), lines
 
@@ -716,9 +717,7 @@ def test_guardian_has_frames_that_stop_each_command_type(name: str) -> None:
         zeros, _ = made.guard.watched[device.link.number]
         stream = FrameStream()
         frames = list(stream.feed(b"".join(zeros)))
-        assert [frame.topic_id for frame in frames if isinstance(frame, Frame)] == [
-            info.topic_id for info in board.infos
-        ]
+        assert [frame.topic_id for frame in frames if isinstance(frame, Frame)] == [info.id for info in board.infos]
         for number, frame in enumerate(frames):
             assert isinstance(frame, Frame)
             assert board.is_at_rest(number, frame.payload)

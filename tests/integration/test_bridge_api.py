@@ -9,7 +9,8 @@ import pytest
 
 from hostlink.client import Host, HostlinkError, connect
 from hostlink.client.mailbox import Mailbox
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics, topic
 from tests.support.rosbridge import client
@@ -66,7 +67,7 @@ async def test_the_graph_is_watched_on_after_the_connection_was_lost() -> None:
 
 
 async def test_bytes_come_as_the_device_sends_them_and_go_as_they_are() -> None:
-    servo = topic(Id.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
+    servo = topic(EndpointKind.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
     async with (
         daemon() as server,
         connect(server.url) as me,
@@ -83,7 +84,7 @@ async def test_bytes_come_as_the_device_sends_them_and_go_as_they_are() -> None:
 
 
 async def test_bytes_of_another_type_reach_no_device() -> None:
-    servo = topic(Id.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
+    servo = topic(EndpointKind.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
     async with (
         daemon() as server,
         connect(server.url) as me,

@@ -11,8 +11,9 @@ from hostlink.cli.inspect import Inspection
 from hostlink.cli.probe import probe_capture
 from hostlink.link.capture_buffer import CAPTURE_BYTES
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect
@@ -83,7 +84,7 @@ async def test_a_capture_that_begins_late_begins_with_the_topics(tmp_path: Path)
 
 
 async def test_a_capture_that_begins_late_shows_what_was_refused_too(tmp_path: Path) -> None:
-    wrong = topic(Id.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
+    wrong = topic(EndpointKind.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), wrong]) as device:
         lines = await capture_without_beginning(host, device)
     path = tmp_path / "capture.jsonl"
@@ -106,7 +107,10 @@ async def test_a_device_that_is_silent_after_a_late_beginning_is_still_found(tmp
 
 async def test_frames_before_new_topics_are_read_by_the_old_topics(tmp_path: Path) -> None:
     """A device that begins anew gives the id of its odometry to another topic."""
-    again = [topic(Id.PUBLISHER, 125, "/bumper", "std_msgs/Bool"), topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
+    again = [
+        topic(EndpointKind.PUBLISHER, 125, "/bumper", "std_msgs/Bool"),
+        topic(EndpointKind.SUBSCRIBER, 100, "/led", "std_msgs/Bool"),
+    ]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await capture_without_beginning(host, device)
         infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in again)
@@ -121,7 +125,7 @@ async def test_frames_before_new_topics_are_read_by_the_old_topics(tmp_path: Pat
 
 
 async def test_a_topic_with_another_md5_is_diagnosed_in_api_and_log_in_the_same_words() -> None:
-    wrong = topic(Id.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
+    wrong = topic(EndpointKind.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
     with capture_logs() as lines:
         async with daemon() as host:
             for _ in range(2):  # the second time within a minute is not told again

@@ -13,15 +13,16 @@ from hostlink.client import connect
 from hostlink.client.connection import waits
 from hostlink.config import ApiConfig, Config
 from hostlink.errors import CommandRefused, HostlinkError
-from hostlink.protocol.control import Log
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import Log
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import fake_device, pose, robot_topics, service_server, topic
 from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = (0.0, 0.0)
-LED = topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")
+LED = topic(EndpointKind.SUBSCRIBER, 100, "/led", "std_msgs/Bool")
 TRIGGER = service_server("/trigger", "std_srvs/Trigger", 125, 101)
 
 

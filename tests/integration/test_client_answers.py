@@ -9,13 +9,13 @@ import pytest
 
 from hostlink.client import Host, connect
 from hostlink.errors import HostlinkError
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import hold
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 
-LED = topic(Id.SUBSCRIBER, 110, "/led", "std_msgs/Bool")
-ARRAY = topic(Id.SUBSCRIBER, 111, "/array", "std_msgs/Float32MultiArray")
+LED = topic(EndpointKind.SUBSCRIBER, 110, "/led", "std_msgs/Bool")
+ARRAY = topic(EndpointKind.SUBSCRIBER, 111, "/array", "std_msgs/Float32MultiArray")
 
 
 @contextlib.asynccontextmanager

@@ -8,7 +8,8 @@ import tracemalloc
 import pytest
 
 from hostlink.hub.message import Message
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.participants import subscribe
@@ -27,7 +28,7 @@ async def test_a_message_of_a_device_reaches_a_subscriber() -> None:
 
 
 async def test_message_of_an_undefined_type_passes_as_bytes() -> None:
-    uncommon = topic(Id.PUBLISHER, 125, "/odd", "std_msgs/Bool")._replace(type="my_msgs/Odd", md5="1" * 32)
+    uncommon = topic(EndpointKind.PUBLISHER, 125, "/odd", "std_msgs/Bool")._replace(type="my_msgs/Odd", md5="1" * 32)
     heard: asyncio.Queue[Message] = asyncio.Queue()
     async with daemon() as host, fake_device(host.tcp, [uncommon]) as device:
         subscribe(host.hub, "/odd", heard.put_nowait)

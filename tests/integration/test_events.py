@@ -14,7 +14,8 @@ from structlog.testing import capture_logs
 
 from hostlink.api.events import CHECK_S, TICK_S
 from hostlink.config import Config, LinkConfig
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
@@ -139,8 +140,8 @@ async def test_event_stream_follows_a_robot_that_reconnects_with_another_topic_a
     other_type = CATALOG.message("nav_msgs/Odometry")
     assert other_type is not None
     other = [
-        topic(Id.PUBLISHER, 126, "/robot_0/odom", "nav_msgs/Odometry"),
-        topic(Id.SUBSCRIBER, 100, "/robot_0/velocity_commands", "geometry_msgs/Twist"),
+        topic(EndpointKind.PUBLISHER, 126, "/robot_0/odom", "nav_msgs/Odometry"),
+        topic(EndpointKind.SUBSCRIBER, 100, "/robot_0/velocity_commands", "geometry_msgs/Twist"),
     ]
     frame = encode(126, other_type.encode({"pose": {"pose": {"position": {"x": 1.0}, "orientation": {"w": 1.0}}}}))
     async with daemon() as host, contextlib.AsyncExitStack() as devices:

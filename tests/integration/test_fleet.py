@@ -10,9 +10,10 @@ import pytest
 
 from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import CommandRefused, RefusalKind
-from hostlink.protocol.control import decode_parameter
-from hostlink.protocol.frame import Id, encode
-from hostlink.protocol.topic_table import MAX_MISSED
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import decode_parameter
+from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.protocol.rosserial.topic_table import MAX_MISSED
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.kinematic_robot import DRIVES
 from hostlink.sim.run import run_fleet
@@ -39,10 +40,10 @@ ONE, OTHER = "127.0.0.2", "127.0.0.3"
 SLOW, FAST = PlanarVelocity(x_m_s=0.1), PlanarVelocity(x_m_s=0.4)
 CONFIGURED = Config(robots={"a": RobotConfig(address=ONE), "b": RobotConfig(address=OTHER)})
 MORE = [
-    topic(Id.SUBSCRIBER, 102, "/robot_0/pid_tune_l", "geometry_msgs/Vector3"),
-    topic(Id.SUBSCRIBER, 103, "/chatter_in", "std_msgs/Bool"),
+    topic(EndpointKind.SUBSCRIBER, 102, "/robot_0/pid_tune_l", "geometry_msgs/Vector3"),
+    topic(EndpointKind.SUBSCRIBER, 103, "/chatter_in", "std_msgs/Bool"),
     *service_server("/robot_0/reset", "std_srvs/SetBool", 126, 104),
-    topic(Id.PUBLISHER, 127, "/chatter", "std_msgs/Bool"),
+    topic(EndpointKind.PUBLISHER, 127, "/chatter", "std_msgs/Bool"),
     *service_client("/robot_0/ask", "std_srvs/SetBool", 128, 105),
 ]
 
@@ -213,7 +214,7 @@ async def test_a_robot_that_drives_and_announces_its_topics_without_its_velocity
         link.wake()
         for _ in range(MAX_MISSED):
             assert not driving.done()
-            await device.announce([each for each in robot_topics() if each.topic_id != 100])
+            await device.announce([each for each in robot_topics() if each.id != 100])
         await driving
         last = (0.1, 0.0)
         with contextlib.suppress(TimeoutError):

@@ -14,7 +14,8 @@ from structlog.testing import capture_logs
 
 from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.hub.robot_events import OWNER_LEFT
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, stops_of
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
@@ -164,8 +165,8 @@ async def test_a_locked_robot_refuses_and_the_reason_is_a_status() -> None:
 
 async def test_a_client_that_never_reads_loses_only_its_own_messages_and_the_robot_nothing() -> None:
     with capture_logs() as lines:
-        scan = topic(Id.PUBLISHER, 126, "/scan", "std_msgs/String", buffer_bytes=SCAN_BYTES + 4)
-        frame = encode(scan.topic_id, struct.pack("<I", SCAN_BYTES) + bytes(SCAN_BYTES))
+        scan = topic(EndpointKind.PUBLISHER, 126, "/scan", "std_msgs/String", buffer_bytes=SCAN_BYTES + 4)
+        frame = encode(scan.id, struct.pack("<I", SCAN_BYTES) + bytes(SCAN_BYTES))
         async with daemon() as host, fake_device(host.tcp, [*robot_topics(), scan]) as device:
             async with player(host) as stuck:
                 await stuck.subscribe("/scan")

@@ -14,9 +14,9 @@ from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.hub.diagnoses import ENDED_LINKS
 from hostlink.hub.topic import Topic
 from hostlink.link.link import Link
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Id, encode
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.protocol.rosserial.session import Session
 from tests.support.api_loads import frame, operation, websocket_head
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import robot_topics

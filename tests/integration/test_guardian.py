@@ -21,7 +21,7 @@ from hostlink.guardian.frames import stop_sequence
 from hostlink.guardian.guardian import CODE, Guardian, _spawn
 from hostlink.guardian.records import GOODBYE, MAX_FRAMES_BYTES, PING, WATCH
 from hostlink.guardian.records import encode as encode_record
-from hostlink.protocol.frame import STOP_REQUEST, encode
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, encode
 from tests.support.killing import guarded_by
 from tests.support.process import is_running
 from tests.support.pty_pair import pty_pair

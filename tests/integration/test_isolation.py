@@ -11,7 +11,8 @@ from structlog.testing import capture_logs
 
 from hostlink.diagnosis.link_monitor import LinkMonitor
 from hostlink.protocol import events
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import Id, encode
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.compiled_modules import replaces_a_method
 from tests.support.daemon import Daemon, daemon
@@ -93,7 +94,7 @@ async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[st
 async def test_a_crash_in_the_gate_of_a_device_without_poses_leaves_the_clock_of_all_gates(
     logged: list[dict[str, object]],
 ) -> None:
-    cart = [topic(Id.SUBSCRIBER, 100, "/cart/cmd_vel", "geometry_msgs/Twist")]
+    cart = [topic(EndpointKind.SUBSCRIBER, 100, "/cart/cmd_vel", "geometry_msgs/Twist")]
 
     def crash(*_: object, **__: object) -> None:
         raise ArithmeticError("a defect")

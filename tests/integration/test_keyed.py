@@ -11,7 +11,7 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config, TcpConfig
 from hostlink.errors import ConfigError
-from hostlink.protocol.frame import TOPICS_REQUEST
+from hostlink.protocol.rosserial.frame import TOPICS_REQUEST
 from hostlink.transport.keyed import ANSWER_BYTES, PROOF_TIMEOUT_S, exchange_proofs, read_key
 from tests.support.daemon import daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics

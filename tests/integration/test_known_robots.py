@@ -17,8 +17,7 @@ from hostlink.hub.topic import Subscriber
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
@@ -45,7 +44,7 @@ def with_hub(test: Callable[[Hub], Awaitable[None]], config: Config = CONFIG) ->
         run_virtual(run())
 
 
-async def visit(hub: Hub, infos: list[TopicInfo], *, address: str = "10.0.0.2") -> None:
+async def visit(hub: Hub, infos: list[DeviceEndpoint], *, address: str = "10.0.0.2") -> None:
     device = ScriptedDevice(hub, infos, address=address)
     await asyncio.sleep(0.01)
     await device.aclose()
@@ -147,16 +146,16 @@ def test_a_robot_that_is_driven_while_others_are_forgotten_drives_on() -> None:
     ("steady_one", "rebooting_one"),
     [
         (robot_topics("robot_0"), robot_topics("robot_1")),
-        (robot_topics("robot_0"), [topic(Id.PUBLISHER, 125, "/lidar", "std_msgs/Bool")]),
+        (robot_topics("robot_0"), [topic(EndpointKind.PUBLISHER, 125, "/lidar", "std_msgs/Bool")]),
         (
-            [topic(Id.PUBLISHER, 125, "/imu", "std_msgs/Bool")],
-            [topic(Id.PUBLISHER, 125, "/lidar", "std_msgs/Bool")],
+            [topic(EndpointKind.PUBLISHER, 125, "/imu", "std_msgs/Bool")],
+            [topic(EndpointKind.PUBLISHER, 125, "/lidar", "std_msgs/Bool")],
         ),
     ],
     ids=["robots", "a robot and a sensor", "sensors"],
 )
 def test_a_board_that_reboots_proves_nothing_about_another_behind_its_address(
-    steady_one: list[TopicInfo], rebooting_one: list[TopicInfo]
+    steady_one: list[DeviceEndpoint], rebooting_one: list[DeviceEndpoint]
 ) -> None:
     def codes(hub: Hub, device: ScriptedDevice) -> set[str]:
         return {each.code for each in hub.diagnoses.of(device.link)}
@@ -178,12 +177,12 @@ def test_a_board_that_reboots_proves_nothing_about_another_behind_its_address(
 # -- what it costs ----------------------------------------------------------------------------------------------------
 
 
-def flood(count: int) -> list[TopicInfo]:
+def flood(count: int) -> list[DeviceEndpoint]:
     """Publishers of poses and subscribers to velocities, which a person would pair one by one."""
     pairs = [
         [
-            topic(Id.SUBSCRIBER, 100 + number, f"/n{number}/cmd_vel", "geometry_msgs/Twist"),
-            topic(Id.PUBLISHER, 30_000 + number, f"/n{number}/odom", "geometry_msgs/Pose2D"),
+            topic(EndpointKind.SUBSCRIBER, 100 + number, f"/n{number}/cmd_vel", "geometry_msgs/Twist"),
+            topic(EndpointKind.PUBLISHER, 30_000 + number, f"/n{number}/odom", "geometry_msgs/Pose2D"),
         ]
         for number in range(count // 2)
     ]

@@ -8,15 +8,16 @@ import pytest
 from hostlink.config import LinkConfig
 from hostlink.link.fair_share import FairShare
 from hostlink.link.link import Link
-from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.protocol.events import Event
-from hostlink.protocol.frame import Id, encode
-from hostlink.protocol.session import Session
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.protocol.rosserial.session import Session
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.transport.base import READ_BYTES
 from tests.support.memory_transport import memory_pair
 
-INFO = TopicInfo(Id.PUBLISHER, 125, "/long", "std_msgs/String", "m", 2048)
+INFO = DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/long", "std_msgs/String", "m", 2048)
 HELLO = encode(Id.TIME, bytes(8)) + encode(Id.PUBLISHER, encode_topic_info(INFO)) + encode(Id.TIME, bytes(8))
 FRAMES = 4000
 ROUNDS = 7
@@ -59,7 +60,7 @@ async def link_s(read: bytes, reads: int) -> float:
 @pytest.mark.parametrize("payload_bytes", [24, 200, 1024])
 def test_a_link_reads_frames_of_any_length_at_a_share_of_its_parser_alone(payload_bytes: int) -> None:
     """Processor time, alternating: what else runs on the machine disturbs both alike. The best round counts."""
-    frame = encode(INFO.topic_id, bytes(number % 251 for number in range(payload_bytes)))
+    frame = encode(INFO.id, bytes(number % 251 for number in range(payload_bytes)))
     read = frame * max(1, READ_BYTES // len(frame))
     reads = FRAMES * len(frame) // len(read)
     shares = [parser_s(read, reads) / asyncio.run(link_s(read, reads)) for _ in range(ROUNDS)]

@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import Id
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, announcement, fake_device, robot_topics, topic
@@ -16,17 +16,17 @@ ZERO = (0.0, 0.0)
 CURVE = (0.2, 0.5)
 VELOCITY_FIRST = robot_topics()
 VELOCITY_LAST = [
-    topic(Id.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D"),
-    topic(Id.SUBSCRIBER, 99 + 1, "/robot_0/reset_odometry", "std_msgs/Empty"),
-    topic(Id.SUBSCRIBER, 101, "/robot_0/velocity_commands", "geometry_msgs/Twist"),
+    topic(EndpointKind.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D"),
+    topic(EndpointKind.SUBSCRIBER, 99 + 1, "/robot_0/reset_odometry", "std_msgs/Empty"),
+    topic(EndpointKind.SUBSCRIBER, 101, "/robot_0/velocity_commands", "geometry_msgs/Twist"),
 ]
 
 
-def without(type_name: str, infos: list[TopicInfo]) -> bytes:
+def without(type_name: str, infos: list[DeviceEndpoint]) -> bytes:
     return announcement([info for info in infos if info.type != type_name])
 
 
-def without_velocity(infos: list[TopicInfo]) -> bytes:
+def without_velocity(infos: list[DeviceEndpoint]) -> bytes:
     return without("geometry_msgs/Twist", infos)
 
 

@@ -21,7 +21,7 @@ from hostlink.api.rest import MAX_OWNERS
 from hostlink.config import BlackBoxConfig, Config, RecordingConfig
 from hostlink.hub.message import Message
 from hostlink.hub.topic import MAX_WAITING
-from hostlink.protocol.frame import encode
+from hostlink.protocol.rosserial.frame import encode
 from hostlink.recording.folder import DiskUsage, Folder
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_reports import BATTERY, battery

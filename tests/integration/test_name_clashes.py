@@ -5,8 +5,8 @@ import struct
 import pytest
 
 from hostlink.errors import HostlinkError
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, service_server, topic
@@ -15,7 +15,7 @@ from tests.support.participants import publish, subscribe
 from tests.support.waiting import expect
 
 TWIST, POSE = "geometry_msgs/Twist", "geometry_msgs/Pose2D"
-BOTH_WAYS = [topic(Id.SUBSCRIBER, 100, "/x", TWIST), topic(Id.PUBLISHER, 125, "/x", POSE)]
+BOTH_WAYS = [topic(EndpointKind.SUBSCRIBER, 100, "/x", TWIST), topic(EndpointKind.PUBLISHER, 125, "/x", POSE)]
 
 
 async def goes_on(host: Daemon, device: FakeDevice, *, name: str = "robot_0") -> None:
@@ -54,7 +54,7 @@ async def _both_ways(host: Daemon, honest: FakeDevice) -> None:
 @pytest.mark.parametrize(("name", "is_first"), [("velocity_commands", True), ("odometry", False), ("odom", True)])
 async def test_another_device_publishes_another_type_on_a_robots_topic(name: str, is_first: bool) -> None:
     for type_name in (POSE, TWIST, "nav_msgs/Odometry"):
-        other = [topic(Id.PUBLISHER, 125, f"/robot_0/{name}", type_name)]
+        other = [topic(EndpointKind.PUBLISHER, 125, f"/robot_0/{name}", type_name)]
         type_ = CATALOG.message(type_name)
         assert type_ is not None
         announcements = [other, robot_topics()] if is_first else [robot_topics(), other]
@@ -72,7 +72,7 @@ async def test_odometry_of_a_robot_from_another_publisher_is_refused() -> None:
     async with (
         daemon() as host,
         fake_device(host.tcp, robot_topics()) as device,
-        fake_device(host.tcp, [topic(Id.PUBLISHER, 130, "/robot_0/odometry", POSE)]) as other,
+        fake_device(host.tcp, [topic(EndpointKind.PUBLISHER, 130, "/robot_0/odometry", POSE)]) as other,
     ):
         await device.send(pose(1.0))
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
@@ -85,7 +85,7 @@ async def test_odometry_of_a_robot_from_another_publisher_is_refused() -> None:
 
 
 async def test_a_device_that_publishes_on_its_own_velocity_topic_does_not_drive_itself() -> None:
-    echo = topic(Id.PUBLISHER, 130, "/robot_0/velocity_commands", TWIST)
+    echo = topic(EndpointKind.PUBLISHER, 130, "/robot_0/velocity_commands", TWIST)
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), echo]) as device:
         await expect(lambda: host.hub.robots.find("robot_0").link)
         await device.send(encode(130, struct.pack("<6d", 0.1, 0, 0, 0, 0, 0)))
@@ -94,9 +94,13 @@ async def test_a_device_that_publishes_on_its_own_velocity_topic_does_not_drive_
 
 
 async def test_two_robots_that_share_a_velocity_topic_are_both_driven_by_it() -> None:
-    def shared(name: str) -> list[TopicInfo]:
-        own = topic(Id.SUBSCRIBER, 101, f"/{name}/velocity_commands", TWIST)
-        return [topic(Id.SUBSCRIBER, 100, "/cmd_vel", TWIST), own, topic(Id.PUBLISHER, 125, f"/{name}/odometry", POSE)]
+    def shared(name: str) -> list[DeviceEndpoint]:
+        own = topic(EndpointKind.SUBSCRIBER, 101, f"/{name}/velocity_commands", TWIST)
+        return [
+            topic(EndpointKind.SUBSCRIBER, 100, "/cmd_vel", TWIST),
+            own,
+            topic(EndpointKind.PUBLISHER, 125, f"/{name}/odometry", POSE),
+        ]
 
     async with daemon() as host, fake_device(host.tcp, shared("a")) as one:
         async with fake_device(host.tcp, shared("b")) as other:
@@ -125,7 +129,10 @@ async def test_emergency_stop_service_cannot_be_replaced(is_first: bool) -> None
 
 
 async def test_device_that_publishes_transforms_in_the_old_type_blocks_no_other_transforms() -> None:
-    frames = [topic(Id.PUBLISHER, 125, "/tf", "tf/tfMessage"), topic(Id.PUBLISHER, 126, "/rosout", "std_msgs/Bool")]
+    frames = [
+        topic(EndpointKind.PUBLISHER, 125, "/tf", "tf/tfMessage"),
+        topic(EndpointKind.PUBLISHER, 126, "/rosout", "std_msgs/Bool"),
+    ]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         subscribe(host.hub, "/tf", lambda _: None)
         await goes_on(host, device)

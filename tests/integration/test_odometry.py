@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from hostlink.config import CalibrationConfig, Config, RobotConfig
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.rosbridge import Client, client
@@ -52,7 +53,7 @@ async def test_requested_reset_is_at_the_origin_and_not_a_restart() -> None:
 
 async def test_a_header_stamp_becomes_host_time_and_the_link_reports_its_clock() -> None:
     """The device's clock is an hour behind; its third message was held up for half a second on its way."""
-    odometry = topic(Id.PUBLISHER, 125, "/robot_0/odometry", "nav_msgs/Odometry")
+    odometry = topic(EndpointKind.PUBLISHER, 125, "/robot_0/odometry", "nav_msgs/Odometry")
     type_ = CATALOG.message("nav_msgs/Odometry")
     assert type_ is not None
     async with daemon() as host, fake_device(host.tcp, [odometry, robot_topics()[1]]) as device:

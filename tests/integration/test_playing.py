@@ -15,7 +15,8 @@ from hostlink.cli.names import driver
 from hostlink.client import connect
 from hostlink.errors import ConfigError
 from hostlink.listening import spelled
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from hostlink.recording.channel import DEVICE, VELOCITY
 from hostlink.robot.velocity import ZERO
 from hostlink.sim.run import SocketAddress, run_fleet
@@ -47,7 +48,7 @@ def is_driven(host: Daemon) -> bool:
 
 
 async def test_the_demo_drives_its_own_robots_and_no_board_or_recording_that_connects_too() -> None:
-    mark = topic(Id.PUBLISHER, 130, "/played/played", "std_msgs/String")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/played/played", "std_msgs/String")
     played = [*robot_topics("played"), mark]
     own: dict[str, SocketAddress] = {}
     async with (
@@ -115,8 +116,8 @@ async def test_a_played_device_whose_name_is_none_drives_no_robot(tmp_path: Path
     odd = [channel(each, "std_msgs/String", DEVICE, robot=name) for each in ("/a b", "", "/" + "x" * 70_000)]
     moving = [(0.1 * number, each, FORWARD.encode()) for number in range(10) for each in (odometry, twist)]
     driven = [
-        topic(Id.SUBSCRIBER, 100, "/robot_0/drive", "geometry_msgs/Twist"),
-        topic(Id.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D"),
+        topic(EndpointKind.SUBSCRIBER, 100, "/robot_0/drive", "geometry_msgs/Twist"),
+        topic(EndpointKind.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D"),
     ]
     async with daemon() as host, fake_device(host.tcp, driven):
         await expect(lambda: host.hub.robots.has("robot_0"))
@@ -138,8 +139,8 @@ async def test_a_message_that_no_device_can_send_is_left_out(
     assert capsys.readouterr().err.endswith("3 messages played, 1 left out\n")
 
 
-MARK = topic(Id.PUBLISHER, 130, "/joystick/played", "std_msgs/String")
-TO_ANOTHER = topic(Id.PUBLISHER, 131, "/robot_0/velocity_commands", "geometry_msgs/Twist")
+MARK = topic(EndpointKind.PUBLISHER, 130, "/joystick/played", "std_msgs/String")
+TO_ANOTHER = topic(EndpointKind.PUBLISHER, 131, "/robot_0/velocity_commands", "geometry_msgs/Twist")
 
 
 @pytest.mark.parametrize("is_played", [False, True])
@@ -147,7 +148,7 @@ async def test_a_device_may_drive_another_unless_it_is_played(*, is_played: bool
     topics = [*robot_topics("joystick"), TO_ANOTHER, *([MARK] if is_played else [])]
     async with robot() as (host, _), fake_device(host.tcp, topics) as joystick:
         await expect(lambda: host.hub.robots.has("joystick"))
-        await joystick.send(encode(TO_ANOTHER.topic_id, FORWARD.encode()) + pose(1.0))
+        await joystick.send(encode(TO_ANOTHER.id, FORWARD.encode()) + pose(1.0))
         await expect(lambda: host.hub.topics.find("/joystick/odometry").messages == 1)
         assert is_driven(host) is not is_played
 
@@ -163,7 +164,7 @@ async def test_robot_that_connects_takes_its_name_from_the_played_robot(tmp_path
 
 
 async def test_played_robot_is_marked_as_played_until_the_robot_itself_connects() -> None:
-    mark = topic(Id.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
     async with daemon() as host:
         async with fake_device(host.tcp, [*robot_topics(), mark]):
             await expect(lambda: host.hub.robots.has("robot_0") and host.hub.robots.find("robot_0").is_played)

@@ -17,7 +17,7 @@ from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.client import CommandRefused, Refused, connect
 from hostlink.config import Config
 from hostlink.errors import FrameTooLarge, HostlinkError
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics, topic
@@ -29,8 +29,8 @@ from tests.support.waiting import expect
 REASON = "/robot_0/velocity_commands: frame of 56 bytes, the device takes 40"
 TWIST = {"linear": {"x": 0.2}}
 SMALL = [
-    topic(Id.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D"),
-    topic(Id.SUBSCRIBER, 100, "/robot_0/velocity_commands", "geometry_msgs/Twist", buffer_bytes=40),
+    topic(EndpointKind.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D"),
+    topic(EndpointKind.SUBSCRIBER, 100, "/robot_0/velocity_commands", "geometry_msgs/Twist", buffer_bytes=40),
 ]
 
 

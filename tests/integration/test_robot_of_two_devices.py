@@ -11,24 +11,23 @@ from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused
 from hostlink.hub.hub import places_of
 from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import topic
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.scripted_device import ScriptedDevice
 
 MOTORS, WHEELS = "10.0.0.2", "10.0.0.3"
-COMMAND = [topic(Id.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
-POSE = [topic(Id.PUBLISHER, 125, "odom", "geometry_msgs/Pose2D")]
-OTHER_COMMAND = [*POSE, topic(Id.SUBSCRIBER, 101, "other/cmd_vel", "geometry_msgs/Twist")]
+COMMAND = [topic(EndpointKind.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
+POSE = [topic(EndpointKind.PUBLISHER, 125, "odom", "geometry_msgs/Pose2D")]
+OTHER_COMMAND = [*POSE, topic(EndpointKind.SUBSCRIBER, 101, "other/cmd_vel", "geometry_msgs/Twist")]
 CONFIG = Config(robots={"r": RobotConfig(devices=(MOTORS, WHEELS))})
 CHOSEN = Config(robots={"r": RobotConfig(devices=(MOTORS, WHEELS), command_device=MOTORS)})
 SLOW = PlanarVelocity(0.25)
 
 
 async def connected(
-    made: MemoryHub, *, wheels: Sequence[TopicInfo] = POSE, first: str = MOTORS
+    made: MemoryHub, *, wheels: Sequence[DeviceEndpoint] = POSE, first: str = MOTORS
 ) -> tuple[ScriptedDevice, ScriptedDevice]:
     order = [MOTORS, WHEELS] if first == MOTORS else [WHEELS, MOTORS]
     found = {place: await made.connect(COMMAND if place == MOTORS else wheels, address=place) for place in order}
@@ -173,7 +172,7 @@ def test_stop_and_lock_cover_the_command_of_the_feedback_board() -> None:
 def test_reload_that_makes_one_robot_of_two_leaves_neither_a_robot_by_itself() -> None:
     async def test(made: MemoryHub) -> None:
         await made.connect(OTHER_COMMAND, address=WHEELS)  # before the one that has the robot's name
-        await made.connect([topic(Id.SUBSCRIBER, 100, "r/cmd_vel", "geometry_msgs/Twist")], address=MOTORS)
+        await made.connect([topic(EndpointKind.SUBSCRIBER, 100, "r/cmd_vel", "geometry_msgs/Twist")], address=MOTORS)
         await asyncio.sleep(1.0)
         assert {each.name for each in made.hub.robots.here()} == {"r", "other"}
         made.hub.reconfigure(CONFIG, places_of(CONFIG))

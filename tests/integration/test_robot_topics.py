@@ -6,7 +6,8 @@ import time
 import pytest
 
 from hostlink.config import Config, RobotConfig
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
@@ -14,8 +15,8 @@ from tests.support.participants import publish
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
-ODOM = topic(Id.PUBLISHER, 126, "/robot_0/odom", "nav_msgs/Odometry")
-TF = topic(Id.PUBLISHER, 127, "/tf", "tf/tfMessage")
+ODOM = topic(EndpointKind.PUBLISHER, 126, "/robot_0/odom", "nav_msgs/Odometry")
+TF = topic(EndpointKind.PUBLISHER, 127, "/tf", "tf/tfMessage")
 
 
 def publishers(host: Daemon, name: str) -> set[str]:
@@ -90,8 +91,8 @@ async def test_velocity_that_the_gate_sends_is_published_on_cmd_vel_too() -> Non
 
 async def test_names_that_the_device_uses_itself_are_the_devices() -> None:
     own = [
-        topic(Id.SUBSCRIBER, 102, "/robot_0/cmd_vel", "std_msgs/Bool"),
-        topic(Id.PUBLISHER, 126, "/robot_0/odom", "std_msgs/String"),
+        topic(EndpointKind.SUBSCRIBER, 102, "/robot_0/cmd_vel", "std_msgs/Bool"),
+        topic(EndpointKind.PUBLISHER, 126, "/robot_0/odom", "std_msgs/String"),
         TF,
     ]
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), *own]) as device:
@@ -106,7 +107,7 @@ async def test_device_that_connects_later_reclaims_its_names_and_releases_them_a
     async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
         await program.send(op="subscribe", topic="/robot_0/odom", type="nav_msgs/Odometry")
         await heard(host, "/robot_0/odom")
-        async with fake_device(host.tcp, [ODOM._replace(topic_id=125)]):
+        async with fake_device(host.tcp, [ODOM._replace(id=125)]):
             await expect(lambda: "hostlink" not in publishers(host, "/robot_0/odom"))
         await expect(lambda: publishers(host, "/robot_0/odom") == {"hostlink"})
 
@@ -179,7 +180,7 @@ async def test_names_frames_and_the_transform_are_configurable() -> None:
 
 
 async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_publishes() -> None:
-    wheels = topic(Id.PUBLISHER, 125, "/robot_0/wheels", "nav_msgs/Odometry", buffer_bytes=1024)
+    wheels = topic(EndpointKind.PUBLISHER, 125, "/robot_0/wheels", "nav_msgs/Odometry", buffer_bytes=1024)
     type_ = CATALOG.message("nav_msgs/Odometry")
     assert type_ is not None
     covariance = [float(number) for number in range(36)]

@@ -10,7 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.graphs.ros1.tcpros import encode_answer, encode_message
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
@@ -98,7 +98,7 @@ async def test_each_publisher_is_a_driver_of_its_own(made: Scene) -> None:
 # -- what was latched --------------------------------------------------------------------------------------------------
 
 OLD, NEW = (struct.pack("<I", 3) + text for text in (b"old", b"new"))
-TEXT_ALONE = [topic(Id.SUBSCRIBER, 102, "/text", STRING)]
+TEXT_ALONE = [topic(EndpointKind.SUBSCRIBER, 102, "/text", STRING)]
 
 
 @contextlib.asynccontextmanager

@@ -13,7 +13,8 @@ from hostlink.config import Ros1Config
 from hostlink.graphs.ros1 import node
 from hostlink.graphs.ros1.local_node import Rpc
 from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable, decode_answer, encode_answer, encode_call
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.fake_device import CATALOG, fake_device, pose, topic
 from tests.support.ros1.fake import connection, fake_master, xml_rpc_server
 from tests.support.ros1.scene import ODOMETRY, STRING, SUBSCRIBER, Scene, plain_scene, scene
@@ -82,7 +83,7 @@ async def test_slave_api_peer_outside_allow_list_is_disconnected() -> None:
 @pytest.mark.slow
 async def test_a_subscriber_that_never_reads_costs_the_others_nothing(made: Scene) -> None:
     """The subscriber has a bounded queue. The oldest message is dropped and counted, and the newest is sent later."""
-    wide = topic(Id.PUBLISHER, 126, "/blob", STRING, buffer_bytes=20_000)
+    wide = topic(EndpointKind.PUBLISHER, 126, "/blob", STRING, buffer_bytes=20_000)
     async with fake_device(made.daemon.tcp, [wide], local_host="127.0.0.3") as device:
         await made.master.knows("Publisher", "/blob")
         string = CATALOG.message(STRING)

@@ -19,8 +19,8 @@ from hostlink.config import SerialConfig
 from hostlink.diagnosis.evidence import port_finding
 from hostlink.hub.hub import Hub
 from hostlink.listeners.accepting import serve_serial
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
 from hostlink.transport.serial import (
     DTR_PULSE_S,
     UsbPort,

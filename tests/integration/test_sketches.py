@@ -15,8 +15,8 @@ import pytest
 from hostlink.config import Config, load
 from hostlink.hub.reloader import places_of
 from hostlink.hub.robot import LocalRobot
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import Id
 from hostlink.robot.model import Endpoint, actuators, find_robot, suggestion, unguarded
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.fake_device import CATALOG
@@ -35,14 +35,14 @@ def endpoints(program: dict[str, Any]) -> list[Endpoint]:
     return [Endpoint(each["name"], each["type"], each["direction"] == "to_device") for each in program["topics"]]
 
 
-def infos(program: dict[str, Any]) -> list[TopicInfo]:
+def infos(program: dict[str, Any]) -> list[DeviceEndpoint]:
     """Announcement of its board, with the ids that rosserial gives."""
     made = []
     for number, each in enumerate(endpoints(program)):
         known = CATALOG.message(each.type_name)
         md5 = "0" * 32 if known is None else known.md5
         kind = Id.SUBSCRIBER if each.is_to_device else Id.PUBLISHER
-        made.append(TopicInfo(kind, 100 + number, each.name, each.type_name, md5, 512))
+        made.append(DeviceEndpoint(kind, 100 + number, each.name, each.type_name, md5, 512))
     return made
 
 
@@ -74,7 +74,7 @@ def config_of(text: str) -> Config:
 
 async def takes_a_velocity_and_a_zero(made: MemoryHub, device: ScriptedDevice, robot: LocalRobot) -> None:
     """Check that every command topic of the robot hears something that moves, and then rest."""
-    ids = {info.name: info.topic_id for info in device.infos if info.kind is Id.SUBSCRIBER}
+    ids = {info.name: info.id for info in device.infos if info.kind is EndpointKind.SUBSCRIBER}
     topics = [ids[topic.name] for topic in robot.commands.topics]
     zeros = list(robot.commands.encode(ZERO))
     await asyncio.sleep(0.1)

@@ -4,7 +4,8 @@ import asyncio
 import socket
 import struct
 
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.api_loads import operation, websocket_head
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics, topic
@@ -16,8 +17,8 @@ MOST_BYTES = 110_000  # one write of 64 KiB in the process, twice 16 KiB in the 
 
 
 async def test_client_that_does_not_read_is_sent_little_and_the_rest_waits_in_its_queue() -> None:
-    flood = topic(Id.PUBLISHER, 126, "/flood", "std_msgs/String", buffer_bytes=2000)
-    wire = encode(flood.topic_id, struct.pack("<I", len(TEXT)) + TEXT)
+    flood = topic(EndpointKind.PUBLISHER, 126, "/flood", "std_msgs/String", buffer_bytes=2000)
+    wire = encode(flood.id, struct.pack("<I", len(TEXT)) + TEXT)
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), flood]) as device:
         with socket.socket() as narrow:
             narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, NARROW_BYTES)

@@ -20,9 +20,9 @@ from hostlink.hub.gates import MAX_STEPS, TICK_S
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.robot import AnyRobot, RemoteRobot
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.sim.robot import SimulatedRobot
@@ -288,7 +288,7 @@ def test_a_device_with_hundreds_of_velocities_leaves_each_turn_of_the_loop_to_ot
             host_end, device_end = memory_pair()
             hub.spawn(hub.links.serve(hub.links.open(host_end)), name="link")
             twist = robot_topics()[1]
-            topics = [twist._replace(topic_id=100 + each, name=f"/{each}/cmd_vel") for each in range(256)]
+            topics = [twist._replace(id=100 + each, name=f"/{each}/cmd_vel") for each in range(256)]
             infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
             await device_end.send(infos + encode(Id.TIME, bytes(8)))
             stepped = [0]

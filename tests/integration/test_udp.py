@@ -16,8 +16,9 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, LinkConfig, UdpConfig
 from hostlink.errors import ConfigError
 from hostlink.listeners.accepting import OPENED_A_SECOND
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import TOPICS_REQUEST, Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, encode
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import ZEROS
 from hostlink.transport.keyed import HELLO, MAGIC, RANDOM_BYTES, proof
@@ -126,7 +127,7 @@ class TestSession:
 
     async def test_a_frame_is_a_datagram_and_a_longer_one_is_several(self) -> None:
         buffer_bytes = 3 * MAX_DATAGRAM_BYTES
-        blob = topic(Id.SUBSCRIBER, 102, "/blob", "std_msgs/UInt8MultiArray", buffer_bytes=buffer_bytes)
+        blob = topic(EndpointKind.SUBSCRIBER, 102, "/blob", "std_msgs/UInt8MultiArray", buffer_bytes=buffer_bytes)
         async with host_of() as host, udp_device(host.udp, [*robot_topics(), blob]) as device:
             program = host.hub.join("a program")
             program.advertise("/blob", "std_msgs/UInt8MultiArray")

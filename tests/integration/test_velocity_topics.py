@@ -13,8 +13,8 @@ from hostlink.cli import serve
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused
 from hostlink.hub.hub import Hub
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import Id
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
@@ -34,8 +34,8 @@ from tests.support.virtual_loop import run_virtual
 
 ZERO = bytes(48)
 SPEED = struct.pack("<d", 0.77)
-NO_POSE = [topic(Id.SUBSCRIBER, 100, "/cart/cmd_vel", "geometry_msgs/Twist")]
-SECOND = [*robot_topics(), topic(Id.SUBSCRIBER, 102, "/robot_0/arm_vel", "geometry_msgs/Twist")]
+NO_POSE = [topic(EndpointKind.SUBSCRIBER, 100, "/cart/cmd_vel", "geometry_msgs/Twist")]
+SECOND = [*robot_topics(), topic(EndpointKind.SUBSCRIBER, 102, "/robot_0/arm_vel", "geometry_msgs/Twist")]
 VELOCITY, ARM, ARM_ID = "/robot_0/velocity_commands", "/robot_0/arm_vel", 102
 
 
@@ -103,14 +103,14 @@ class Twisted(NamedTuple):
         assert set(self.heard()[before:]) <= {ZERO}
 
 
-def play_twisted(infos: list[TopicInfo], test: Callable[[Twisted], Awaitable[None]]) -> None:
+def play_twisted(infos: list[DeviceEndpoint], test: Callable[[Twisted], Awaitable[None]]) -> None:
     """Run the test with a hub and a device that has these topics; the last one is the velocity topic."""
 
     async def run() -> None:
         async with running_hub(Hub(Config(), CATALOG, reraises=True)) as hub:
             device = ScriptedDevice(hub, infos, address="10.0.0.1")
             await asyncio.sleep(0.5)
-            await test(Twisted(hub, device, infos[-1].name, infos[-1].topic_id))
+            await test(Twisted(hub, device, infos[-1].name, infos[-1].id))
             await device.aclose()
 
     with capture_logs():
@@ -122,7 +122,7 @@ BOTH = pytest.mark.parametrize("infos", [NO_POSE, SECOND], ids=["no pose", "seco
 
 @BOTH
 class TestBoth:
-    def test_driver_that_is_silent_for_a_lease_leaves_the_device_standing(self, infos: list[TopicInfo]) -> None:
+    def test_driver_that_is_silent_for_a_lease_leaves_the_device_standing(self, infos: list[DeviceEndpoint]) -> None:
         async def test(made: Twisted) -> None:
             await made.drive()
             await asyncio.sleep(LEASE_S)
@@ -130,7 +130,7 @@ class TestBoth:
 
         play_twisted(infos, test)
 
-    def test_driver_that_leaves_stops_the_device_at_once(self, infos: list[TopicInfo]) -> None:
+    def test_driver_that_leaves_stops_the_device_at_once(self, infos: list[DeviceEndpoint]) -> None:
         async def test(made: Twisted) -> None:
             await made.drive()
             source_of(made.hub, "test").leave()
@@ -139,7 +139,7 @@ class TestBoth:
         play_twisted(infos, test)
 
     def test_garbage_is_not_collected_while_the_device_moves(
-        self, infos: list[TopicInfo], monkeypatch: pytest.MonkeyPatch
+        self, infos: list[DeviceEndpoint], monkeypatch: pytest.MonkeyPatch
     ) -> None:
         async def test(made: Twisted) -> None:
             collections = list[float]()
@@ -156,7 +156,7 @@ class TestBoth:
 
         play_twisted(infos, test)
 
-    def test_stop_of_all_stops_the_device(self, infos: list[TopicInfo]) -> None:
+    def test_stop_of_all_stops_the_device(self, infos: list[DeviceEndpoint]) -> None:
         async def test(made: Twisted) -> None:
             await made.drive()
             made.hub.robots.stop_all()
@@ -164,7 +164,7 @@ class TestBoth:
 
         play_twisted(infos, test)
 
-    def test_end_of_the_daemon_sends_a_zero_before_its_stop(self, infos: list[TopicInfo]) -> None:
+    def test_end_of_the_daemon_sends_a_zero_before_its_stop(self, infos: list[DeviceEndpoint]) -> None:
         async def test(made: Twisted) -> None:
             await made.drive()
             before = len(made.device.heard)
@@ -176,7 +176,7 @@ class TestBoth:
 
         play_twisted(infos, test)
 
-    def test_link_that_the_daemon_ends_leaves_the_device_standing(self, infos: list[TopicInfo]) -> None:
+    def test_link_that_the_daemon_ends_leaves_the_device_standing(self, infos: list[DeviceEndpoint]) -> None:
         async def test(made: Twisted) -> None:
             await made.drive()
             made.device.link.received_at_s -= 60.0
@@ -219,7 +219,7 @@ def test_lock_applies_to_a_second_topic_that_appears_later_and_ends_with_the_unl
 
 
 def test_twist_of_a_topic_without_a_name_of_a_velocity_is_sent_once_and_unchanged() -> None:
-    plain = [topic(Id.SUBSCRIBER, 100, "/show/target", "geometry_msgs/Twist")]
+    plain = [topic(EndpointKind.SUBSCRIBER, 100, "/show/target", "geometry_msgs/Twist")]
 
     async def test(made: Scene) -> None:
         device = ScriptedDevice(made.hub, plain, address="10.0.0.3")
@@ -253,7 +253,7 @@ def test_second_velocity_of_a_robot_has_the_robots_limits_and_another_device_its
 
 def test_commands_of_a_device_before_its_identification_are_not_obeyed_later() -> None:
     async def test(made: Scene) -> None:
-        drives = topic(Id.PUBLISHER, 126, f"/{NEIGHBOUR}/velocity_commands", "geometry_msgs/Twist")
+        drives = topic(EndpointKind.PUBLISHER, 126, f"/{NEIGHBOUR}/velocity_commands", "geometry_msgs/Twist")
         made.robot.task.cancel()  # it answers nothing: whether the new one is the same takes time to find out
         for _ in range(5):
             await made.robot.send(ODOMETRY_ID, bytes(24))
@@ -276,7 +276,10 @@ def test_commands_of_a_device_before_its_identification_are_not_obeyed_later() -
 
 def test_no_gate_of_a_locked_robots_second_topic_outlives_its_link() -> None:
     async def test(made: Scene) -> None:
-        infos = [*robot_topics("robot_2"), topic(Id.SUBSCRIBER, 102, "/robot_2/arm_vel", "geometry_msgs/Twist")]
+        infos = [
+            *robot_topics("robot_2"),
+            topic(EndpointKind.SUBSCRIBER, 102, "/robot_2/arm_vel", "geometry_msgs/Twist"),
+        ]
         for visit in range(5):
             device = ScriptedDevice(made.hub, infos, address="10.0.0.3")
             await asyncio.sleep(0.5)
@@ -385,7 +388,7 @@ class TestOneRobot:
 
     def test_velocity_topics_of_a_device_without_pose_are_those_of_one_robot(self) -> None:
         async def test(made: Scene) -> None:
-            infos = [*NO_POSE, topic(Id.SUBSCRIBER, 102, "/crane/cmd_vel", "geometry_msgs/Twist")]
+            infos = [*NO_POSE, topic(EndpointKind.SUBSCRIBER, 102, "/crane/cmd_vel", "geometry_msgs/Twist")]
             device = ScriptedDevice(made.hub, infos, address="10.0.0.3")
             await asyncio.sleep(0.5)
             person, script = made.hub.join("person", priority=60), made.hub.join("script")
@@ -403,10 +406,10 @@ class TestOneRobot:
 @pytest.mark.parametrize("infos", [NO_POSE, SECOND], ids=["no pose", "second topic"])
 @pytest.mark.parametrize("is_known", [False, True])
 def test_stream_that_begins_without_the_device_drives_after_a_lease_of_silence(
-    infos: list[TopicInfo], *, is_known: bool
+    infos: list[DeviceEndpoint], *, is_known: bool
 ) -> None:
     async def test(made: Scene) -> None:
-        name, topic_id = infos[-1].name, infos[-1].topic_id
+        name, topic_id = infos[-1].name, infos[-1].id
         await made.robot.aclose()
         if is_known:
             before = ScriptedDevice(made.hub, infos, address="10.0.0.1")

@@ -15,8 +15,9 @@ from structlog.testing import capture_logs
 from hostlink.config import Config
 from hostlink.errors import FrameTooLarge, ServiceFailed
 from hostlink.hub.device import COMMAND_DEPTH
-from hostlink.protocol.control import decode_parameter
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import decode_parameter
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_parameter_request
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, service_client, service_server, topic
@@ -161,7 +162,7 @@ async def test_a_service_of_a_device_that_never_answers() -> None:
 
 async def test_a_message_larger_than_the_device_buffer() -> None:
     """The session ends | sent all the same. Here: refused to its sender, and the session continues."""
-    text = [topic(Id.SUBSCRIBER, 100, "/text", "std_msgs/String", buffer_bytes=64)]
+    text = [topic(EndpointKind.SUBSCRIBER, 100, "/text", "std_msgs/String", buffer_bytes=64)]
     async with daemon() as host, fake_device(host.tcp, text) as device:
         with pytest.raises(FrameTooLarge):
             publish(host.hub, "/text", {"data": "x" * 100}, source="test")
@@ -171,7 +172,7 @@ async def test_a_message_larger_than_the_device_buffer() -> None:
 
 async def test_a_device_that_never_reads() -> None:
     """A queue without limit | its messages can stop too. Here: 16 wait, newer ones replace, its messages go on."""
-    text = [topic(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", buffer_bytes=60_000)]
+    text = [topic(EndpointKind.SUBSCRIBER, 101, "/text", "std_msgs/String", buffer_bytes=60_000)]
     async with daemon() as host, fake_device(host.tcp, robot_topics()[:1] + text) as device:
         link = host.hub.links.all()[0]
         sent = 0
@@ -217,7 +218,7 @@ async def test_each_reconnect() -> None:
 
 async def test_an_illegal_topic_name() -> None:
     """An error | the process aborts. Here: no device means it, so it counts as damage; the other topics go on."""
-    uncommon = topic(Id.PUBLISHER, 126, "/no name\x1b[31m at all!", "std_msgs/Bool")
+    uncommon = topic(EndpointKind.PUBLISHER, 126, "/no name\x1b[31m at all!", "std_msgs/Bool")
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), uncommon]) as device:
         await device.send(encode(126, b"\x01") + pose(1.0))
         await messages(host, 1)
@@ -227,7 +228,7 @@ async def test_an_illegal_topic_name() -> None:
 
 async def test_a_wrong_md5() -> None:
     """The topic is refused | published, useless to subscribers. Here: refused, with both sums; others go on."""
-    wrong = topic(Id.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
+    wrong = topic(EndpointKind.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp, [*robot_topics(), wrong]) as device:
             await device.send(encode(126, b"\x01") + pose(1.0))
@@ -237,7 +238,7 @@ async def test_a_wrong_md5() -> None:
     reasons = [line["reason"] for line in lines if line["event"] == "topic.refused"]
     assert len(reasons) == 1
     assert wrong.md5 in reasons[0]
-    assert topic(Id.PUBLISHER, 126, "/odd", "std_msgs/Bool").md5 in reasons[0]
+    assert topic(EndpointKind.PUBLISHER, 126, "/odd", "std_msgs/Bool").md5 in reasons[0]
 
 
 async def test_thirty_silent_robots() -> None:

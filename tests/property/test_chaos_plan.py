@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from tests.support.chaos import frames, requests
 from tests.support.chaos.names import CLASHING_NAMES
 
@@ -16,8 +16,8 @@ def test_announcements_are_small_and_huge_and_clash_with_each_other() -> None:
     assert max(map(len, drawn)) > 3000
     both_ways = 0
     for infos in drawn:
-        velocities = {i.name for i in infos if i.kind is Id.SUBSCRIBER and i.type == "geometry_msgs/Twist"}
-        poses = {i.name for i in infos if i.kind is Id.PUBLISHER and i.type == "geometry_msgs/Pose2D"}
+        velocities = {i.name for i in infos if i.kind is EndpointKind.SUBSCRIBER and i.type == "geometry_msgs/Twist"}
+        poses = {i.name for i in infos if i.kind is EndpointKind.PUBLISHER and i.type == "geometry_msgs/Pose2D"}
         both_ways += bool(velocities & poses & set(CLASHING_NAMES))
     assert both_ways > 5
 

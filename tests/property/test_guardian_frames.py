@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.guardian.frames import LEAD, stop_sequence
-from hostlink.protocol.frame import STOP_REQUEST, SYNC, encode
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, SYNC, encode
 from tests.support.ros_lib_reader import RosLibReader
 
 LIMIT_S = 0.2

@@ -14,9 +14,9 @@ from hostlink.diagnosis.evidence import HostClock
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.fake_device import pose, robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.strategies import fewer_examples

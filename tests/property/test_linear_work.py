@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from hostlink.protocol.frame import Frame
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.frame import Frame
+from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.growth import is_linear
 from tests.support.session_host import ODOMETRY, Host, wire
 
@@ -47,7 +47,7 @@ def test_giving_up_nested_headers_is_linear() -> None:
 
 def test_device_with_ten_thousand_topics_costs_time_in_proportion() -> None:
     def seconds(count: int) -> float:
-        line = wire(*(ODOMETRY._replace(topic_id=100 + number) for number in range(count)))
+        line = wire(*(ODOMETRY._replace(id=100 + number) for number in range(count)))
         host = Host()
         began = time.process_time()
         host.receive(line)

@@ -9,20 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.errors import UnknownTopic
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import FIRST_TOPIC_ID, Id, encode
-from hostlink.protocol.topic_table import MAX_MISSED
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, Id, encode
+from hostlink.protocol.rosserial.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 from tests.support.strategies import fewer_examples
 
-MESSAGE = encode(ODOMETRY.topic_id, bytes(24))
+MESSAGE = encode(ODOMETRY.id, bytes(24))
 TOPICS = [
     ODOMETRY,
-    TopicInfo(Id.PUBLISHER, 126, "/battery", "std_msgs/Float32", "m", 512),
-    TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 127, "/ask", "my_srvs/Mine", "m", 512),
+    DeviceEndpoint(EndpointKind.PUBLISHER, 126, "/battery", "std_msgs/Float32", "m", 512),
+    DeviceEndpoint(EndpointKind.SERVICE_CLIENT_PUBLISHER, 127, "/ask", "my_srvs/Mine", "m", 512),
     LED,
     TEXT,
-    TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 102, "/ask", "my_srvs/Mine", "m", 512),
+    DeviceEndpoint(EndpointKind.SERVICE_CLIENT_SUBSCRIBER, 102, "/ask", "my_srvs/Mine", "m", 512),
 ]
 
 behind = st.sampled_from([b"", b"", TIME, MESSAGE])
@@ -33,10 +33,10 @@ announcements = st.lists(
 
 @given(st.lists(announcements, max_size=12), st.booleans())
 def test_endpoint_is_removed_after_three_announcements_without_it(
-    story: list[list[tuple[TopicInfo, bytes]]], is_lossy: bool
+    story: list[list[tuple[DeviceEndpoint, bytes]]], is_lossy: bool
 ) -> None:
     host = Host(*TOPICS, is_lossy=is_lossy)
-    lacked: Counter[TopicInfo] = Counter()
+    lacked: Counter[DeviceEndpoint] = Counter()
     for parts in story:
         announced = {info for info, _ in parts}
         host.receive(TIME)  # not silent, which would cause a request
@@ -52,7 +52,7 @@ def test_endpoint_is_removed_after_three_announcements_without_it(
         assert set(host.session.topics) == {one for one in TOPICS if lacked[one] < MAX_MISSED}
 
 
-def answers(host: Host, device: list[TopicInfo], chance: random.Random, loss: float) -> int:
+def answers(host: Host, device: list[DeviceEndpoint], chance: random.Random, loss: float) -> int:
     """Answer the received topic requests in datagrams of one frame. Return the number of answered requests."""
     requests = sum(frame.topic_id == Id.PUBLISHER and chance.random() >= loss for frame in host.sent())
     for _ in range(requests):
@@ -83,15 +83,15 @@ def test_topic_requests_end_soon_after_the_last_lost_datagram(seed: int, loss: f
 def test_changing_topics_are_requested_at_most_once_a_second(seed: int, is_lossy: bool) -> None:
     chance, host = random.Random(seed), Host(is_lossy=is_lossy)
     asked_at_s: list[float] = []
-    meanings: dict[int, TopicInfo] = {}
+    meanings: dict[int, DeviceEndpoint] = {}
     for _ in range(300):
         device = [
-            info._replace(topic_id=info.topic_id + chance.randrange(2), name=chance.choice("ab") + info.name)
+            info._replace(id=info.id + chance.randrange(2), name=chance.choice("ab") + info.name)
             for info in chance.sample(TOPICS, chance.randrange(1, len(TOPICS)))
         ]
         if chance.random() < 0.2:  # unrequested
             host.receive(TIME + wire(*device) + chance.choice([b"", TIME, MESSAGE]), after_s=0.0)
-            meanings |= {info.topic_id: info for info in device}
+            meanings |= {info.id: info for info in device}
         for info in host.session.topics:
             if info.type == LED.type:
                 with contextlib.suppress(UnknownTopic):  # the topic is being replaced
@@ -101,6 +101,6 @@ def test_changing_topics_are_requested_at_most_once_a_second(seed: int, is_lossy
         if Id.PUBLISHER in sent_ids:
             asked_at_s.append(host.now_s)
             host.receive(TIME + wire(*device), after_s=0.0)
-            meanings |= {info.topic_id: info for info in device}
+            meanings |= {info.id: info for info in device}
         host.wait(0.1)
     assert all(later >= earlier + 0.99 for earlier, later in itertools.pairwise(asked_at_s))

@@ -18,8 +18,8 @@ from structlog.testing import capture_logs
 from hostlink.config import Config
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import Id
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
@@ -47,10 +47,10 @@ addresses = st.sampled_from([*HOMES, "10.0.0.9"])
 
 
 @st.composite
-def infos(draw: st.DrawFn) -> TopicInfo:
+def infos(draw: st.DrawFn) -> DeviceEndpoint:
     """An endpoint with the md5 that its type has."""
     kind = draw(kinds)
-    types = MESSAGE_TYPES if kind in (Id.PUBLISHER, Id.SUBSCRIBER) else SERVICE_TYPES
+    types = MESSAGE_TYPES if kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER) else SERVICE_TYPES
     return topic(kind, draw(ids), draw(names), draw(st.sampled_from(types)))
 
 
@@ -59,13 +59,14 @@ announcements = st.one_of(
     st.lists(infos(), max_size=4).map(lambda others: [*robot_topics(), *others]),
     st.lists(infos(), max_size=4).map(lambda others: [*others, *robot_topics("robot_0_2")]),
     st.builds(  # one name in both directions, and of two types
-        lambda name: [topic(Id.SUBSCRIBER, 100, name, TWIST), topic(Id.PUBLISHER, 125, name, POSE)], names
+        lambda name: [topic(EndpointKind.SUBSCRIBER, 100, name, TWIST), topic(EndpointKind.PUBLISHER, 125, name, POSE)],
+        names,
     ),
     st.builds(
         lambda velocity, odometry: [
-            topic(Id.SUBSCRIBER, 100, velocity, TWIST),
-            topic(Id.PUBLISHER, 125, odometry, "nav_msgs/Odometry"),
-            topic(Id.PUBLISHER, 126, odometry, TWIST),
+            topic(EndpointKind.SUBSCRIBER, 100, velocity, TWIST),
+            topic(EndpointKind.PUBLISHER, 125, odometry, "nav_msgs/Odometry"),
+            topic(EndpointKind.PUBLISHER, 126, odometry, TWIST),
         ],
         names,
         names,
@@ -128,7 +129,7 @@ class Clashes(RuleBasedStateMachine):
 
     @precondition(lambda self: len(self.others) < 6)
     @rule(announced=announcements, address=addresses)
-    def connect(self, announced: list[TopicInfo], address: str) -> None:
+    def connect(self, announced: list[DeviceEndpoint], address: str) -> None:
         async def act() -> None:
             self.others.append(ScriptedDevice(self.hub, announced, address=address))
             await asyncio.sleep(0.01)
@@ -137,7 +138,7 @@ class Clashes(RuleBasedStateMachine):
 
     @precondition(lambda self: self.others)
     @rule(data=st.data(), announced=announcements)
-    def announce_other_topics(self, data: st.DataObject, announced: list[TopicInfo]) -> None:
+    def announce_other_topics(self, data: st.DataObject, announced: list[DeviceEndpoint]) -> None:
         async def act() -> None:
             device.infos = announced
             await device.announce()
@@ -153,8 +154,8 @@ class Clashes(RuleBasedStateMachine):
         async def act() -> None:
             for info in device.infos:
                 type_ = CATALOG.message(info.type)
-                if info.kind is Id.PUBLISHER and type_ is not None:
-                    await device.send(info.topic_id, type_.encode({}))
+                if info.kind is EndpointKind.PUBLISHER and type_ is not None:
+                    await device.send(info.id, type_.encode({}))
             await device.send(topic_id, payload)
             await asyncio.sleep(0.01)
 

@@ -3,12 +3,13 @@
 import pytest
 
 from hostlink.protocol.outbox import RING_BYTES, Outbox
+from hostlink.protocol.rosserial.session import CONTROL_FRAMES
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("uart_bytes_s", [960, 3840, 11520])
 def test_outbox_at_full_load_is_exactly_as_fast_as_the_uart(uart_bytes_s: int) -> None:
-    outbox = Outbox(uart_bytes_s=uart_bytes_s)
+    outbox = Outbox(CONTROL_FRAMES, uart_bytes_s=uart_bytes_s)
     now_s, sent_bytes = 0.0, 0
     while now_s < 3600:
         outbox.put_urgent(101, bytes(512))

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from hostlink.capture_file import Read, load_reads
-from hostlink.hub.device import check_type
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.session import Session
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.protocol import check_type
+from hostlink.protocol.rosserial.session import Session
 
 CAPTURES = Path(__file__).parents[1] / "captures"
 CATALOG = Catalog()
@@ -39,7 +39,7 @@ def byte_by_byte(reads: list[Read]) -> Timed:
 
 
 @cache
-def fixed_bytes(info: TopicInfo) -> int | None:
+def fixed_bytes(info: DeviceEndpoint) -> int | None:
     return check_type(CATALOG, info)
 
 

@@ -21,11 +21,11 @@ from hostlink.hub.hub import Hub
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.events import Event, TopicsNegotiated
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.session import Session
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.session import Session
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.model import find_robot
 from hostlink.robot.names import Presence

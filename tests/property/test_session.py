@@ -10,14 +10,15 @@ from hypothesis import strategies as st
 
 from hostlink.errors import HostlinkError
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import TOPICS_REQUEST, Id, encode
-from hostlink.protocol.session import Session
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
+from hostlink.protocol.rosserial.session import Session
 from tests.support.strategies import damaged, frames, noise, split, topic_infos, wire_of
 
 GOOD = [
-    TopicInfo(Id.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m", 512),
-    TopicInfo(Id.SUBSCRIBER, 100, "/velocity", "geometry_msgs/Twist", "m", 512),
+    DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m", 512),
+    DeviceEndpoint(EndpointKind.SUBSCRIBER, 100, "/velocity", "geometry_msgs/Twist", "m", 512),
 ]
 TIME = encode(Id.TIME, bytes(8))
 PROTOCOL_1 = b"\xff\xff\x0a\x00\x08\x00" + bytes(8) + b"\xed"
@@ -66,14 +67,16 @@ def heard(reads: Iterable[bytes]) -> tuple[list[events.Event], dict[str, int]]:
 
 
 @given(lines, st.lists(st.sampled_from([GOOD, GOOD[:1], GOOD[1:]]), max_size=3), st.data())
-def test_every_split_gives_the_same_events(line: bytes, tellings: list[list[TopicInfo]], data: st.DataObject) -> None:
+def test_every_split_gives_the_same_events(
+    line: bytes, tellings: list[list[DeviceEndpoint]], data: st.DataObject
+) -> None:
     parts = [b"".join(encode(info.kind, encode_topic_info(info)) for info in infos) for infos in tellings]
     wire = damaged(b"".join(part + encode(125, bytes(24)) + line for part in [*parts, PROTOCOL_1]), data)
     assert heard(split(wire, data)) == heard([wire]) == heard(bytes([byte]) for byte in wire)
 
 
-def sends_only_what_fits_the_device(session: Session, info: TopicInfo, now_s: float) -> None:
-    known = {known.topic_id: known for known in session.topics if known.is_to_device}
+def sends_only_what_fits_the_device(session: Session, info: DeviceEndpoint, now_s: float) -> None:
+    known = {known.id: known for known in session.topics if known.is_to_device}
     with contextlib.suppress(HostlinkError):  # either refused, or sent and within the limits
         session.publish(info.name, bytes(SIZES.get(info.type, 5)))
     while (outgoing := session.pop_frame(now_s=now_s, wall_ns=0)) is not None:

@@ -13,7 +13,7 @@ from hostlink.config import Config
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot
-from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.sim.firmware_world import RobotKind
 from tests.support.fake_device import CATALOG
 from tests.support.memory_client import MemoryHost, memory_host
@@ -37,7 +37,7 @@ class Bench:
         """robot_0 in the daemon."""
         return self.hub.robots.find_here("robot_0")
 
-    async def device(self, infos: Sequence[TopicInfo]) -> ScriptedDevice:
+    async def device(self, infos: Sequence[DeviceEndpoint]) -> ScriptedDevice:
         """Connect a device that does what the test says."""
         device = ScriptedDevice(self.hub, infos, address="10.0.0.1")
         await asyncio.sleep(0.5)

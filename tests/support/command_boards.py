@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from hostlink.config import JoyConfig, RobotConfig, ThrottleConfig, VectorConfig, WheelsConfig, WordsConfig
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from tests.support.fake_device import message_type, topic
 from tests.support.participants import ROBOT
 
@@ -28,9 +27,9 @@ class Board:
         return [number for number in range(len(self.types)) if number != self.steering]
 
     @property
-    def infos(self) -> list[TopicInfo]:
+    def infos(self) -> list[DeviceEndpoint]:
         pairs = zip(self.names, self.types, strict=True)
-        return [topic(Id.SUBSCRIBER, 100 + number, name, type_) for number, (name, type_) in enumerate(pairs)]
+        return [topic(EndpointKind.SUBSCRIBER, 100 + number, name, type_) for number, (name, type_) in enumerate(pairs)]
 
     def is_at_rest(self, number: int, payload: bytes) -> bool:
         """Whether a message on one of the topics commands no motion."""

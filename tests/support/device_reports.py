@@ -1,7 +1,8 @@
 """Reports of a device about itself: its battery, its WiFi, its firmware, its faults."""
 
-from hostlink.protocol.control import Log, TopicInfo
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import Log
+from hostlink.protocol.rosserial.frame import Id, encode
 from hostlink.robot.state import BATTERY_TYPE
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import CATALOG, topic
@@ -9,9 +10,9 @@ from tests.support.fake_device import CATALOG, topic
 _BATTERY_ID = 130
 
 
-def battery_topic(name: str = "robot_0") -> TopicInfo:
+def battery_topic(name: str = "robot_0") -> DeviceEndpoint:
     """The topic of a robot's battery."""
-    return topic(Id.PUBLISHER, _BATTERY_ID, f"/{name}/battery", BATTERY_TYPE)
+    return topic(EndpointKind.PUBLISHER, _BATTERY_ID, f"/{name}/battery", BATTERY_TYPE)
 
 
 BATTERY = battery_topic()

@@ -48,7 +48,8 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.robot_topic_publisher import twist_topic
 from hostlink.mirror.log_once import LogOnce
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from hostlink.recording.channel import VELOCITY, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity, Twist
@@ -639,7 +640,7 @@ class DevicePublisher(EntryPoint):
     device: ClassVar[type[WiredDevice]] = TcpDevice
 
     async def begin(self) -> None:
-        self._device = self.device(self.made.hub, [topic(Id.PUBLISHER, 126, CMD_VEL, TWIST_TYPE)])
+        self._device = self.device(self.made.hub, [topic(EndpointKind.PUBLISHER, 126, CMD_VEL, TWIST_TYPE)])
         await asyncio.sleep(0.5)
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:

@@ -8,9 +8,10 @@ from collections.abc import AsyncIterator, Iterable
 
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType, ServiceType
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.background import meanwhile
 from tests.support.waiting import TIMEOUT_S
 
@@ -31,45 +32,45 @@ def service_type(name: str) -> ServiceType:
     return found
 
 
-def topic(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> TopicInfo:
+def topic(kind: EndpointKind, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> DeviceEndpoint:
     """An endpoint with the md5 that its type has."""
-    if kind in (Id.PUBLISHER, Id.SUBSCRIBER):
-        return TopicInfo(kind, topic_id, name, type_name, message_type(type_name).md5, buffer_bytes)
+    if kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER):
+        return DeviceEndpoint(kind, topic_id, name, type_name, message_type(type_name).md5, buffer_bytes)
     service = service_type(type_name)
-    is_request = kind in (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
-    return TopicInfo(
+    is_request = kind in (EndpointKind.SERVICE_SERVER_SUBSCRIBER, EndpointKind.SERVICE_CLIENT_PUBLISHER)
+    return DeviceEndpoint(
         kind, topic_id, name, type_name, (service.request if is_request else service.response).md5, buffer_bytes
     )
 
 
-def service_server(name: str, type_name: str, response_id: int = 125, request_id: int = 100) -> list[TopicInfo]:
+def service_server(name: str, type_name: str, response_id: int = 125, request_id: int = 100) -> list[DeviceEndpoint]:
     """Return the endpoints of a service that a device offers."""
     return [
-        topic(Id.SERVICE_SERVER_PUBLISHER, response_id, name, type_name),
-        topic(Id.SERVICE_SERVER_SUBSCRIBER, request_id, name, type_name),
+        topic(EndpointKind.SERVICE_SERVER_PUBLISHER, response_id, name, type_name),
+        topic(EndpointKind.SERVICE_SERVER_SUBSCRIBER, request_id, name, type_name),
     ]
 
 
-def service_client(name: str, type_name: str, request_id: int = 125, response_id: int = 100) -> list[TopicInfo]:
+def service_client(name: str, type_name: str, request_id: int = 125, response_id: int = 100) -> list[DeviceEndpoint]:
     """Return the endpoints of a service that a device calls."""
     return [
-        topic(Id.SERVICE_CLIENT_PUBLISHER, request_id, name, type_name),
-        topic(Id.SERVICE_CLIENT_SUBSCRIBER, response_id, name, type_name),
+        topic(EndpointKind.SERVICE_CLIENT_PUBLISHER, request_id, name, type_name),
+        topic(EndpointKind.SERVICE_CLIENT_SUBSCRIBER, response_id, name, type_name),
     ]
 
 
-def announcement(infos: Iterable[TopicInfo]) -> bytes:
+def announcement(infos: Iterable[DeviceEndpoint]) -> bytes:
     """Return what a device answers to a request for topics: the time, each topic, a request for the time."""
     wire = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
     return encode(Id.TIME, bytes(8)) + wire + encode(Id.TIME, bytes(8))
 
 
-def robot_topics(name: str = "robot_0") -> list[TopicInfo]:
+def robot_topics(name: str = "robot_0") -> list[DeviceEndpoint]:
     """The topics of the paper's robot that hostlink needs."""
     return [
-        topic(Id.PUBLISHER, 125, f"/{name}/odometry", "geometry_msgs/Pose2D"),
-        topic(Id.SUBSCRIBER, 100, f"/{name}/velocity_commands", "geometry_msgs/Twist"),
-        topic(Id.SUBSCRIBER, 101, f"/{name}/reset_odometry", "std_msgs/Empty"),
+        topic(EndpointKind.PUBLISHER, 125, f"/{name}/odometry", "geometry_msgs/Pose2D"),
+        topic(EndpointKind.SUBSCRIBER, 100, f"/{name}/velocity_commands", "geometry_msgs/Twist"),
+        topic(EndpointKind.SUBSCRIBER, 101, f"/{name}/reset_odometry", "std_msgs/Empty"),
     ]
 
 
@@ -91,7 +92,7 @@ class FakeDevice:
         self._writer.write(data)
         await self._writer.drain()
 
-    async def announce(self, topics: list[TopicInfo]) -> None:
+    async def announce(self, topics: list[DeviceEndpoint]) -> None:
         """Wait for the request for topics, and answer as a device does: the time first, then each topic."""
         await self.frame(Id.PUBLISHER)
         await self.send(announcement(topics))
@@ -179,7 +180,7 @@ async def repeating(device: FakeDevice, data: bytes, *, interval_s: float = 0.1)
 
 @contextlib.asynccontextmanager
 async def fake_device(
-    address: tuple[str, int], topics: list[TopicInfo] | None = None, *, local_host: str | None = None
+    address: tuple[str, int], topics: list[DeviceEndpoint] | None = None, *, local_host: str | None = None
 ) -> AsyncIterator[FakeDevice]:
     """A device that connects, announces its topics if it has any, and closes at the end of the block."""
     local = None if local_host is None else (local_host, 0)

@@ -10,11 +10,12 @@ from collections.abc import Callable
 from hostlink.errors import BadPayload, HostlinkError
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol import control
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.protocol.events import TopicsRequested
-from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode
-from hostlink.protocol.negotiation import REQUEST_INTERVAL_S
-from hostlink.protocol.session import Session
-from hostlink.protocol.stream import FrameStream, Skipped
+from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode
+from hostlink.protocol.rosserial.negotiation import REQUEST_INTERVAL_S
+from hostlink.protocol.rosserial.session import Session
+from hostlink.protocol.rosserial.stream import FrameStream, Skipped
 from tests.support.device_codec import encode_log, encode_parameter_request
 
 LIMIT_BYTES = 1024
@@ -73,7 +74,7 @@ def send_all(tried: Session, now_s: float) -> None:
     for info in tried.topics:
         with contextlib.suppress(HostlinkError):  # refused before it is queued
             tried.publish(info.name, bytes(SIZES.get(info.type, 3)))
-    buffers = {info.topic_id: info.buffer_bytes for info in tried.topics if info.is_to_device}
+    buffers = {info.id: info.buffer_bytes for info in tried.topics if info.is_to_device}
     while (outgoing := tried.pop_frame(now_s=now_s, wall_ns=0)) is not None:
         frame = outgoing.frame
         topic_id = int.from_bytes(frame[5:7], "little")
@@ -83,7 +84,7 @@ def send_all(tried: Session, now_s: float) -> None:
 
 def control_payloads(data: bytes) -> None:
     """Each payload is nothing, or something that is the same when it is written and read again."""
-    for kind in list(Id)[: Id.SERVICE_CLIENT_SUBSCRIBER + 1]:
+    for kind in list(Id)[: EndpointKind.SERVICE_CLIENT_SUBSCRIBER + 1]:
         info = control.decode_topic_info(kind, data)
         assert info is None or control.decode_topic_info(kind, control.encode_topic_info(info)) == info
     log = control.decode_log(data)

@@ -8,9 +8,10 @@ import select
 import socket
 import time
 
-from hostlink.protocol.control import Log
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import Log
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.api_loads import encode_time
 from tests.support.device_codec import encode_log
@@ -28,7 +29,7 @@ def drive(address: tuple[str, int], velocity_topic: str, *, log_bytes_s: float, 
     connection = socket.create_connection(address)
     if send_buffer_bytes:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes)
-    stream, known = FrameStream(), announcement([topic(Id.PUBLISHER, TOPIC_ID, velocity_topic, TWIST_TYPE)])
+    stream, known = FrameStream(), announcement([topic(EndpointKind.PUBLISHER, TOPIC_ID, velocity_topic, TWIST_TYPE)])
     began_s = next_s = time.monotonic()
     logged_bytes, is_announced = 0, False
     while True:

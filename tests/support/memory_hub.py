@@ -13,8 +13,8 @@ from hostlink.config import Config
 from hostlink.hub.gates import Guard
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import encode
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
@@ -67,7 +67,7 @@ class MemoryHub:
 
     async def connect(
         self,
-        infos: Sequence[TopicInfo] | None = None,
+        infos: Sequence[DeviceEndpoint] | None = None,
         *,
         address: str = "10.0.0.2",
         peer: str | None = None,

@@ -9,8 +9,10 @@ import math
 from collections.abc import Callable
 from enum import Enum, auto
 
-from hostlink.protocol.control import Log, Parameter, TopicInfo, decode_parameter, encode_topic_info
-from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.events import Parameter
+from hostlink.protocol.rosserial.control import Log, decode_parameter, encode_topic_info
+from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Id, encode
 from tests.support.device_codec import decode_time, encode_log, encode_parameter_request
 from tests.support.uart import Uart
 
@@ -67,8 +69,8 @@ class OriginalDevice:
         self.dropped_frames = 0
         self.frames = 0
         self._retries = retries
-        self._from_device: list[TopicInfo] = []
-        self._to_device: list[tuple[TopicInfo, Callable[[bytes], None]]] = []
+        self._from_device: list[DeviceEndpoint] = []
+        self._to_device: list[tuple[DeviceEndpoint, Callable[[bytes], None]]] = []
         self._parameter: Callable[[Parameter], None] | None = None
         self._mode = Mode.FIRST_FF
         self._size = self._topic_id = self._checksum = 0
@@ -85,14 +87,16 @@ class OriginalDevice:
     def advertise(self, name: str, type_name: str, md5: str) -> int:
         """Announce something that the device sends; returns its id."""
         topic_id = FIRST_TOPIC_ID + MAX_SUBSCRIBERS + len(self._from_device)
-        self._from_device.append(TopicInfo(Id.PUBLISHER, topic_id, name, type_name, md5, DEFAULT_BUFFER_BYTES))
+        self._from_device.append(
+            DeviceEndpoint(EndpointKind.PUBLISHER, topic_id, name, type_name, md5, DEFAULT_BUFFER_BYTES)
+        )
         return topic_id
 
     def subscribe(self, name: str, type_name: str, md5: str, callback: Callable[[bytes], None]) -> int:
         """Announce a topic that the device subscribes to; returns its id."""
         topic_id = FIRST_TOPIC_ID + len(self._to_device)
         self._to_device.append(
-            (TopicInfo(Id.SUBSCRIBER, topic_id, name, type_name, md5, DEFAULT_BUFFER_BYTES), callback)
+            (DeviceEndpoint(EndpointKind.SUBSCRIBER, topic_id, name, type_name, md5, DEFAULT_BUFFER_BYTES), callback)
         )
         return topic_id
 

@@ -26,7 +26,7 @@ from hostlink.hub.queue import Queue
 from hostlink.hub.robots import Robots
 from hostlink.hub.subscription import Subscription
 from hostlink.messages.message_type import ServiceType
-from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.memory_hub import running
@@ -380,7 +380,7 @@ class Scene:
     and itself must be there at the end.
     """
 
-    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup, infos: Sequence[TopicInfo] = ()) -> None:
+    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup, infos: Sequence[DeviceEndpoint] = ()) -> None:
         self.hub, self.tasks = hub, tasks
         self.infos = list(infos) or robot_topics(ROBOT)  # of the robot
         self.neighbour_heard: list[bytes] = []
@@ -434,7 +434,7 @@ class Scene:
 
 
 @contextlib.asynccontextmanager
-async def scene(config: Config | None = None, infos: Sequence[TopicInfo] = ()) -> AsyncIterator[Scene]:
+async def scene(config: Config | None = None, infos: Sequence[DeviceEndpoint] = ()) -> AsyncIterator[Scene]:
     with capture_logs():
         hub = Hub(Config() if config is None else config, CATALOG)
         async with running(hub) as tasks:
@@ -445,7 +445,7 @@ async def scene(config: Config | None = None, infos: Sequence[TopicInfo] = ()) -
 
 
 def play(
-    test: Callable[[Scene], Awaitable[None]], config: Config | None = None, infos: Sequence[TopicInfo] = ()
+    test: Callable[[Scene], Awaitable[None]], config: Config | None = None, infos: Sequence[DeviceEndpoint] = ()
 ) -> None:
     async def run() -> None:
         async with scene(config, infos) as made:

@@ -17,7 +17,7 @@ from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.reloader import Read, Reloader
-from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.endpoint import DeviceEndpoint
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
@@ -61,7 +61,7 @@ class RestCalls:
 class RestMemory(RestCalls):
     """A daemon's REST API, and the device of its robot."""
 
-    def __init__(self, topics: Sequence[TopicInfo], drives: Any, read: Read | None) -> None:
+    def __init__(self, topics: Sequence[DeviceEndpoint], drives: Any, read: Read | None) -> None:
         super().__init__(Hub(Config(), CATALOG, reraises=True), drives, read)
         self._topics = topics
         self.device: ScriptedDevice
@@ -78,7 +78,11 @@ class RestMemory(RestCalls):
 
 @contextlib.asynccontextmanager
 async def rest_memory(
-    topics: Sequence[TopicInfo] | None = None, *, settle_s: float = 0.5, drives: Any = None, read: Read | None = None
+    topics: Sequence[DeviceEndpoint] | None = None,
+    *,
+    settle_s: float = 0.5,
+    drives: Any = None,
+    read: Read | None = None,
 ) -> AsyncIterator[RestMemory]:
     """A running hub with one robot, for virtual time. `settle_s`: time in which the device announces its topics.
 

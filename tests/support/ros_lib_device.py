@@ -17,10 +17,11 @@ from hostlink.link.serving import LinkEnd
 from hostlink.messages.fields import FORMATS, VARIABLE, Layout
 from hostlink.messages.message_type import MessageType
 from hostlink.messages.parsing import parse_service
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.session import DEFAULT_BUFFER_BYTES
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.session import DEFAULT_BUFFER_BYTES
+from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.original_device import DeviceCrashed
 
@@ -39,15 +40,17 @@ class GivenUp(Exception):
 
 def clients(
     name: str, type_name: str, *, md5: tuple[str, str], buffer_bytes: int = 512, count: int = 1
-) -> list[TopicInfo]:
+) -> list[DeviceEndpoint]:
     """The endpoints of service clients, of which each has two."""
     request_md5, response_md5 = md5
     return [
         info
         for number in range(count)
         for info in (
-            TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, REQUESTS + number, name, type_name, request_md5, 512),
-            TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, RESPONSES + number, name, type_name, response_md5, buffer_bytes),
+            DeviceEndpoint(EndpointKind.SERVICE_CLIENT_PUBLISHER, REQUESTS + number, name, type_name, request_md5, 512),
+            DeviceEndpoint(
+                EndpointKind.SERVICE_CLIENT_SUBSCRIBER, RESPONSES + number, name, type_name, response_md5, buffer_bytes
+            ),
         )
     ]
 
@@ -61,7 +64,7 @@ def response_type(fields: str) -> MessageType:
 class RosLibDevice:
     """One device on one connection."""
 
-    def __init__(self, end: MemoryTransport, topics: list[TopicInfo], response: MessageType) -> None:
+    def __init__(self, end: MemoryTransport, topics: list[DeviceEndpoint], response: MessageType) -> None:
         self._end, self.topics, self._layout = end, topics, response.layout
         self._stream = FrameStream()
         self._frames: list[Frame] = []
@@ -162,7 +165,7 @@ class Connected:
 
 
 @contextlib.asynccontextmanager
-async def ros_lib_device(hub: Hub, topics: list[TopicInfo], response: MessageType) -> AsyncIterator[Connected]:
+async def ros_lib_device(hub: Hub, topics: list[DeviceEndpoint], response: MessageType) -> AsyncIterator[Connected]:
     """A device that has announced its topics to a running hub."""
     host_end, device_end = memory_pair()
     link = hub.links.open(host_end)

@@ -6,16 +6,17 @@ from collections.abc import Sequence
 
 from hostlink.hub.hub import Hub
 from hostlink.link.link import Link
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.memory_transport import memory_pair
 
 
 class ScriptedDevice:
     """One connection to a hub that runs, in the loop that runs it."""
 
-    def __init__(self, hub: Hub, infos: Sequence[TopicInfo], *, address: str, peer: str | None = None) -> None:
+    def __init__(self, hub: Hub, infos: Sequence[DeviceEndpoint], *, address: str, peer: str | None = None) -> None:
         host_end, self._end = memory_pair(address=address)
         if peer is not None:
             host_end.peer = peer

@@ -2,23 +2,24 @@
 
 from hostlink.errors import WrongType
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.session import Session
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.session import Session
+from hostlink.protocol.rosserial.stream import FrameStream
 
 SIZES = {"std_msgs/Bool": 1, "geometry_msgs/Pose2D": 24}
 TIME = encode(Id.TIME, bytes(8))
-ODOMETRY = TopicInfo(Id.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m", 512)
-LED = TopicInfo(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool", "m", 64)
-TEXT = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 64)
+ODOMETRY = DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m", 512)
+LED = DeviceEndpoint(EndpointKind.SUBSCRIBER, 100, "/led", "std_msgs/Bool", "m", 64)
+TEXT = DeviceEndpoint(EndpointKind.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 64)
 
 
-def wire(*infos: TopicInfo) -> bytes:
+def wire(*infos: DeviceEndpoint) -> bytes:
     return b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
 
 
-def check(info: TopicInfo) -> int | None:
+def check(info: DeviceEndpoint) -> int | None:
     if info.md5 == "wrong":
         raise WrongType(info.name, "md5 right", "md5 wrong")
     return SIZES.get(info.type)
@@ -27,7 +28,7 @@ def check(info: TopicInfo) -> int | None:
 class Host:
     """A session and its clock."""
 
-    def __init__(self, *infos: TopicInfo, is_lossy: bool = False) -> None:
+    def __init__(self, *infos: DeviceEndpoint, is_lossy: bool = False) -> None:
         self.session = Session(check=check, is_lossy=is_lossy)
         self.now_s = 100.0
         self.events = self.session.open(now_s=self.now_s)

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 from typing import cast
 
 from hostlink.hub.hub import Hub
-from hostlink.protocol.frame import Frame, encode
+from hostlink.protocol.rosserial.frame import Frame, encode
 from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.robot import Fault, SimulatedRobot
 from hostlink.sim.run import run_over_streams, run_over_tcp

@@ -5,9 +5,9 @@ import contextlib
 import socket
 from collections.abc import AsyncIterator
 
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.fake_device import FakeDevice
 from tests.support.waiting import TIMEOUT_S
 
@@ -71,7 +71,7 @@ class UdpDevice(FakeDevice):
 @contextlib.asynccontextmanager
 async def udp_device(
     address: tuple[str, int],
-    topics: list[TopicInfo] | None = None,
+    topics: list[DeviceEndpoint] | None = None,
     *,
     local: tuple[str, int] = ("127.0.0.1", 0),
 ) -> AsyncIterator[UdpDevice]:

@@ -14,8 +14,9 @@ from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.background import meanwhile
 from tests.support.fake_device import robot_topics, topic
 from tests.support.pty_pair import pty_pair
@@ -53,7 +54,7 @@ class UnwatchedRobot:
     def __post_init__(self) -> None:
         self.reader = RosLibReader(self._receive, gives_up=self.reading.gives_up)
 
-    def topics(self) -> list[TopicInfo]:
+    def topics(self) -> list[DeviceEndpoint]:
         """Topics that the robot announces."""
         blob = topic(
             Id.SUBSCRIBER, BLOB_ID, f"/{self.name}/blob", "std_msgs/UInt8MultiArray", buffer_bytes=BLOB_BUFFER_BYTES

@@ -11,7 +11,7 @@ from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.session import Session
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.gates import drive_gate
 from tests.support.memory_transport import MemoryTransport, memory_pair

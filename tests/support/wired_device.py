@@ -11,9 +11,10 @@ from typing import Any, cast
 
 from hostlink.hub.hub import Hub
 from hostlink.link.link import Link
-from hostlink.protocol.control import Log, TopicInfo
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.control import Log
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.transport.base import READ_BYTES, Transport
 from hostlink.transport.connection import StreamTransport
 from hostlink.transport.serial import TTY_BYTES, SerialTransport
@@ -65,7 +66,7 @@ class WiredDevice:
     transport: Transport
     read_bytes = READ_BYTES
 
-    def __init__(self, hub: Hub, infos: Sequence[TopicInfo]) -> None:
+    def __init__(self, hub: Hub, infos: Sequence[DeviceEndpoint]) -> None:
         self.link: Link
         self._hub, self._infos, self._stream = hub, infos, FrameStream()
         self.flood = Flood(self.deliver, self.read_bytes)
@@ -107,7 +108,7 @@ class _System(ApiTransport):
 class TcpDevice(WiredDevice):
     transport: StreamTransport
 
-    def __init__(self, hub: Hub, infos: Sequence[TopicInfo]) -> None:
+    def __init__(self, hub: Hub, infos: Sequence[DeviceEndpoint]) -> None:
         super().__init__(hub, infos)
         self._system = _System("10.0.0.3", self.receive)
         self.transport = self._made()
@@ -181,7 +182,7 @@ class _Socket:
 class UdpDeviceInMemory(WiredDevice):
     read_bytes = 1400 * (DATAGRAMS_A_TURN + 1)
 
-    def __init__(self, hub: Hub, infos: Sequence[TopicInfo]) -> None:
+    def __init__(self, hub: Hub, infos: Sequence[DeviceEndpoint]) -> None:
         super().__init__(hub, infos)
         peer = ("10.0.0.3", 40000)
         self._socket = _Socket(peer, self.receive)

@@ -18,8 +18,8 @@ from typing import Any
 import aiohttp
 import pytest
 
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity_gate import ZEROS
 from tests.support.background import meanwhile

@@ -9,14 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, service_server, topic
 from tests.support.process import HOSTLINK, run, serve, simulated
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import TIMEOUT_S
 
-LED = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
+LED = [topic(EndpointKind.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
 TRIGGER = service_server("/trigger", "std_srvs/Trigger", 125, 101)
 STOP_S = 0.6  # a lease, and a turn of the gate
 

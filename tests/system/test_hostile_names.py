@@ -6,14 +6,15 @@ import struct
 
 import pytest
 
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.process import run
 from tests.support.rosbridge import Client
 
 HOSTILE = "\x1b]0;x\x07\x1b[2J\x9b31m\u202e\u2066\x7f[red][/x]"
-TOPICS = [*robot_topics(), topic(Id.PUBLISHER, 126, "/robot_0/text", "std_msgs/String")]
+TOPICS = [*robot_topics(), topic(EndpointKind.PUBLISHER, 126, "/robot_0/text", "std_msgs/String")]
 
 
 async def log_text(device: FakeDevice) -> None:

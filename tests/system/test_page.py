@@ -12,8 +12,8 @@ from playwright.async_api import expect as expect_text
 
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import RefusalKind
-from hostlink.protocol.control import Log
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.rosserial.control import Log
+from hostlink.protocol.rosserial.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.kinematics import Pose
 from hostlink.sim.firmware_module import WorldParameters

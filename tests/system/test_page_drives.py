@@ -12,7 +12,8 @@ from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
 from hostlink.config import Config, RobotConfig
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.background import meanwhile
 from tests.support.browser import Visit, visit
 from tests.support.daemon import daemon
@@ -69,7 +70,7 @@ class Board:
 async def board(browser: Browser, kinematics: Any) -> AsyncIterator[Board]:
     """A device without odometry, and the page on which it is driven."""
     config = Config(robots={"robot_0": RobotConfig(kinematics=kinematics)})
-    topics = [topic(Id.SUBSCRIBER, 100, "/robot_0/cmd_vel", "geometry_msgs/Twist")]
+    topics = [topic(EndpointKind.SUBSCRIBER, 100, "/robot_0/cmd_vel", "geometry_msgs/Twist")]
     assert robot_topics()[1].topic_id == topics[0].topic_id
     async with (
         daemon(config) as host,

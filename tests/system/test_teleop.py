@@ -220,7 +220,7 @@ async def test_teleop_without_a_terminal_is_refused() -> None:
 
 
 async def test_teleop_of_a_device_that_cannot_take_a_velocity_shows_why_it_neither_drives_nor_stops() -> None:
-    small = [info._replace(buffer_bytes=40) if info.topic_id == 100 else info for info in robot_topics()]
+    small = [info._replace(buffer_bytes=40) if info.id == 100 else info for info in robot_topics()]
     reason = "/robot_0/velocity_commands: frame of 56 bytes, the device takes 40"
     async with serve() as daemon, fake_device(daemon.tcp, small), screen() as terminal:
         await terminal.keys(f"{HOSTLINK} teleop robot_0 --url {daemon.url}", "Enter")

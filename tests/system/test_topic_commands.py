@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, service_server, topic
 from tests.support.process import HOSTLINK, run
@@ -18,7 +19,7 @@ from tests.support.screen import screen
 from tests.support.tcp_server import say_nothing, tcp_server
 from tests.support.waiting import TIMEOUT_S
 
-POINT = topic(Id.PUBLISHER, 126, "/robot_0/point", "geometry_msgs/PointStamped")
+POINT = topic(EndpointKind.PUBLISHER, 126, "/robot_0/point", "geometry_msgs/PointStamped")
 TRIGGER = service_server("/trigger", "std_srvs/Trigger", 127, 102)
 
 
@@ -353,7 +354,7 @@ async def test_other_shells_get_the_same_names(shell: str) -> None:
 
 async def test_a_name_that_a_shell_would_run_is_not_completed() -> None:
     names = ["/robot_0/odom$(reboot)", "/robot_0/odom;reboot", "/robot_0/odom`x`", "/robot_0/odom'"]
-    topics = [topic(Id.PUBLISHER, 130 + number, name, "std_msgs/Bool") for number, name in enumerate(names)]
+    topics = [topic(EndpointKind.PUBLISHER, 130 + number, name, "std_msgs/Bool") for number, name in enumerate(names)]
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), *topics]):
         _, listed, _ = await run("topics", "--url", host.url)
         assert all(name in listed for name in names)

@@ -9,7 +9,7 @@ import pytest
 from hostlink.client import connect
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.device_reports import battery_topic, report
@@ -142,7 +142,7 @@ async def test_stream_that_continued_through_a_restart_of_the_robots_daemon_does
 
 
 async def test_remote_played_robot_is_marked_as_played() -> None:
-    mark = topic(Id.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, [*robot_topics("robot_7"), mark]):
         await shown(a, "robot_7")
         await expect(lambda: a.hub.robots.remote["robot_7"].known.is_played)
@@ -233,7 +233,7 @@ async def test_reset_reaches_a_remote_device() -> None:
         await expect(lambda: a.hub.topics.find_or_none("/robot_7/reset_odometry"))
         status, _ = await a.rest("POST", "/api/robots/robot_7/odometry/reset")
         assert status == 200
-        reset_id = next(info.topic_id for info in robot_topics("robot_7") if info.name == reset)
+        reset_id = next(info.id for info in robot_topics("robot_7") if info.name == reset)
         assert await device.frame(reset_id) == b""
 
 

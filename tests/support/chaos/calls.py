@@ -7,9 +7,9 @@ import random
 import re
 import time
 
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import OVERHEAD_BYTES, Frame, encode
-from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.frame import OVERHEAD_BYTES, Frame, encode
+from hostlink.protocol.rosserial.stream import DEFAULT_LIMIT_BYTES, FrameStream
 from tests.support.chaos import frames, requests
 from tests.support.chaos.connection import Connection, reading
 from tests.support.chaos.devices import quietly
@@ -46,7 +46,7 @@ async def call(stage: Stage, action: Action) -> None:
             each.cancel()
 
 
-async def request(stage: Stage, dice: random.Random, infos: list[TopicInfo], what: str) -> None:
+async def request(stage: Stage, dice: random.Random, infos: list[DeviceEndpoint], what: str) -> None:
     """Reports how long it waited, and for what."""
     requests_to, answers_by = infos
     async with stage.device(dice, is_verified=True) as connection:

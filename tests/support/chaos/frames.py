@@ -6,8 +6,10 @@ import math
 import random
 from collections.abc import Callable, Iterator
 
-from hostlink.protocol.control import LOG_LEVELS, Log, TopicInfo, encode_topic_info
-from hostlink.protocol.frame import FIRST_TOPIC_ID, SYNC, Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.events import LOG_LEVELS
+from hostlink.protocol.rosserial.control import Log, encode_topic_info
+from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, SYNC, Id, encode
 from tests.support.chaos.names import (
     CLASHING_NAMES,
     HONEST_ODOMETRY,
@@ -34,16 +36,16 @@ Blocks = Iterator[bytes]
 _MESSAGES = (Id.PUBLISHER, Id.SUBSCRIBER)
 
 
-def info_frame(info: TopicInfo) -> bytes:
+def info_frame(info: DeviceEndpoint) -> bytes:
     return encode(info.kind, encode_topic_info(info))
 
 
-def introduction(infos: list[TopicInfo]) -> bytes:
+def introduction(infos: list[DeviceEndpoint]) -> bytes:
     """Return a device's answer to a topic request; the time request after it ends the negotiation."""
     return TIME + b"".join(map(info_frame, infos)) + TIME
 
 
-def robot(name: str) -> list[TopicInfo]:
+def robot(name: str) -> list[DeviceEndpoint]:
     """A robot as the paper's, and a topic for floods."""
     return [
         endpoint(Id.SUBSCRIBER, 100, f"/{name}/velocity_commands", "geometry_msgs/Twist"),
@@ -52,7 +54,7 @@ def robot(name: str) -> list[TopicInfo]:
     ]
 
 
-def draw_announcement(dice: random.Random) -> list[TopicInfo]:
+def draw_announcement(dice: random.Random) -> list[DeviceEndpoint]:
     """One to thousands of endpoints: few or many names and types, right and wrong sums, ids in order or not."""
     count = int(math.exp(dice.uniform(0.7, math.log(MOST_TOPICS))))
     names = dice.sample(CLASHING_NAMES, dice.randint(1, 4))
@@ -70,15 +72,15 @@ def draw_announcement(dice: random.Random) -> list[TopicInfo]:
         ids = to_device if made.is_to_device else from_device
         topic_id = next(ids) if is_in_order else dice.randrange(FIRST_TOPIC_ID, 65536)
         md5 = WRONG_MD5 if dice.random() < wrong_share else made.md5
-        infos.append(made._replace(topic_id=topic_id, md5=md5, buffer_bytes=dice.choice((512, 512, 280, 0, -1, 70000))))
+        infos.append(made._replace(id=topic_id, md5=md5, buffer_bytes=dice.choice((512, 512, 280, 0, -1, 70000))))
     return infos
 
 
-def data_frame(info: TopicInfo, dice: random.Random) -> bytes:
+def data_frame(info: DeviceEndpoint, dice: random.Random) -> bytes:
     """A frame that the endpoint might send."""
     if info.kind in _MESSAGES:
-        return encode(info.topic_id, payload_of(info.type, dice))
-    return encode(info.topic_id, request_of(info.type, dice))
+        return encode(info.id, payload_of(info.type, dice))
+    return encode(info.id, request_of(info.type, dice))
 
 
 # -- floods: each gives blocks without end ----------------------------------------------------------------------------
@@ -194,19 +196,19 @@ SINGLE_FLOODS: list[Callable[[random.Random], Blocks]] = [
 FLOODS = [*SINGLE_FLOODS, messages, new_names, requests, mixture]  # floods that add up are twice as frequent
 
 
-def service_client(service: str, type_name: str, buffer_bytes: int) -> list[TopicInfo]:
+def service_client(service: str, type_name: str, buffer_bytes: int) -> list[DeviceEndpoint]:
     """A device that calls a service: its requests come by the first id, answers go to the second."""
     return [
-        endpoint(Id.SERVICE_CLIENT_PUBLISHER, 125, service, type_name, buffer_bytes=buffer_bytes),
-        endpoint(Id.SERVICE_CLIENT_SUBSCRIBER, 100, service, type_name, buffer_bytes=buffer_bytes),
+        endpoint(EndpointKind.SERVICE_CLIENT_PUBLISHER, 125, service, type_name, buffer_bytes=buffer_bytes),
+        endpoint(EndpointKind.SERVICE_CLIENT_SUBSCRIBER, 100, service, type_name, buffer_bytes=buffer_bytes),
     ]
 
 
-def service_server(service: str, type_name: str) -> list[TopicInfo]:
+def service_server(service: str, type_name: str) -> list[DeviceEndpoint]:
     """A device that offers one: requests go to the first id, its answers come by the second."""
     return [
-        endpoint(Id.SERVICE_SERVER_SUBSCRIBER, 100, service, type_name),
-        endpoint(Id.SERVICE_SERVER_PUBLISHER, 125, service, type_name),
+        endpoint(EndpointKind.SERVICE_SERVER_SUBSCRIBER, 100, service, type_name),
+        endpoint(EndpointKind.SERVICE_SERVER_PUBLISHER, 125, service, type_name),
     ]
 
 

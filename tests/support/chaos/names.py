@@ -4,8 +4,8 @@ import random
 import struct
 
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import Id
 
 HONEST = "honest"
 HONEST_ADDRESS = "127.0.0.50"
@@ -45,24 +45,24 @@ def hostile_address(dice: random.Random) -> str:
 
 def md5_of(kind: Id, type_name: str) -> str:
     """Return the md5 sum of a type as a device has it; any sum for an unknown type."""
-    if kind in (Id.PUBLISHER, Id.SUBSCRIBER):
+    if kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER):
         message = CATALOG.message(type_name)
         return WRONG_MD5 if message is None else message.md5
     service = CATALOG.service(type_name)
     if service is None:
         return WRONG_MD5
-    is_request = kind in (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
+    is_request = kind in (EndpointKind.SERVICE_SERVER_SUBSCRIBER, EndpointKind.SERVICE_CLIENT_PUBLISHER)
     return (service.request if is_request else service.response).md5
 
 
-def endpoint(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> TopicInfo:
+def endpoint(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> DeviceEndpoint:
     """An endpoint with the sum that its type has.
 
     Nobody calls the honest robot's emergency stop: it works for every device, and ends the drive that is measured.
     """
-    if kind is Id.SERVICE_CLIENT_PUBLISHER and name == HONEST_LOCK:
+    if kind is EndpointKind.SERVICE_CLIENT_PUBLISHER and name == HONEST_LOCK:
         name = HONEST_UNLOCK
-    return TopicInfo(kind, topic_id, name, type_name, md5_of(kind, type_name), buffer_bytes)
+    return DeviceEndpoint(kind, topic_id, name, type_name, md5_of(kind, type_name), buffer_bytes)
 
 
 def payload_of(type_name: str, dice: random.Random) -> bytes:

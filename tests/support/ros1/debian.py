@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.fake_device import FakeDevice, fake_device
 from tests.support.fork_server import LINE_BYTES, Child, Program, shared, start
 from tests.support.process import Process, free_port, serve
@@ -174,7 +174,7 @@ async def graph(folder: Path, program: str = "rosmaster") -> AsyncIterator[Graph
 
 @contextlib.asynccontextmanager
 async def living_device(
-    address: tuple[str, int], topics: list[TopicInfo], local_host: str | None = None
+    address: tuple[str, int], topics: list[DeviceEndpoint], local_host: str | None = None
 ) -> AsyncIterator[FakeDevice]:
     """A device that requests the time, as every device does: programs of ROS take seconds to start."""
     async with fake_device(address, topics, local_host=local_host) as device:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from hostlink.config import Config, Ros1Config
 from hostlink.graphs.ros1.xml_rpc import decode_answer
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, robot_topics, topic
@@ -17,7 +17,7 @@ from tests.support.waiting import expect
 
 ODOMETRY, VELOCITY = "/robot_0/odometry", "/robot_0/velocity_commands"
 STRING = "std_msgs/String"
-TEXT = topic(Id.SUBSCRIBER, 102, "/text", STRING)
+TEXT = topic(EndpointKind.SUBSCRIBER, 102, "/text", STRING)
 POSE = CATALOG.message("geometry_msgs/Pose2D")
 assert POSE is not None
 SUBSCRIBER = {"callerid": "/listener", "topic": ODOMETRY, "type": POSE.name, "md5sum": POSE.md5}

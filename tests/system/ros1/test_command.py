@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.fake_device import CATALOG, FakeDevice, pose, repeating, robot_topics, topic
 from tests.support.fork_server import start
 from tests.support.process import HOSTLINK, Process, free_port, run, started
@@ -22,7 +23,7 @@ from tests.support.ros1.debian import PYTHON, Graph, call, graph, living_device
 from tests.support.ros1.fake import connection
 from tests.support.waiting import TIMEOUT_S, expect
 
-CHATTER = [*robot_topics(), topic(Id.PUBLISHER, 126, "chatter", "std_msgs/String")]
+CHATTER = [*robot_topics(), topic(EndpointKind.PUBLISHER, 126, "chatter", "std_msgs/String")]
 
 
 @pytest.fixture
@@ -66,9 +67,9 @@ async def test_node_of_a_launch_file_has_its_namespace_name_remapping_and_parame
 
 
 RELATIVE = [
-    topic(Id.PUBLISHER, 125, "odometry", "geometry_msgs/Pose2D"),
-    topic(Id.SUBSCRIBER, 100, "velocity_commands", "geometry_msgs/Twist"),
-    topic(Id.SUBSCRIBER, 102, "~text", "std_msgs/String"),
+    topic(EndpointKind.PUBLISHER, 125, "odometry", "geometry_msgs/Pose2D"),
+    topic(EndpointKind.SUBSCRIBER, 100, "velocity_commands", "geometry_msgs/Twist"),
+    topic(EndpointKind.SUBSCRIBER, 102, "~text", "std_msgs/String"),
 ]
 OWN = ("robot_0/odom", "robot_0/cmd_vel", "robot_0/cmd_vel_stamped")  # hostlink's, of a robot without a name
 

@@ -10,7 +10,8 @@ import aiohttp
 import pytest
 
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.fake_device import FakeDevice, pose, repeating, robot_topics, service_client, service_server, topic
 from tests.support.process import Process, simulated
 from tests.support.ros1.debian import Graph, Node, graph, living_device
@@ -59,7 +60,7 @@ async def test_a_subscriber_receives_what_a_device_publishes_and_its_type_is_rig
 
 
 async def test_a_device_receives_what_a_program_publishes(ros: Graph) -> None:
-    topics = [*robot_topics(), topic(Id.SUBSCRIBER, 102, "/text", STRING)]
+    topics = [*robot_topics(), topic(EndpointKind.SUBSCRIBER, 102, "/text", STRING)]
     async with (
         ros.node("talk", "/text", STRING, "{data: before}", "0"),
         ros.daemon() as daemon,
@@ -73,7 +74,7 @@ async def test_a_device_receives_what_a_program_publishes(ros: Graph) -> None:
 
 @pytest.mark.long
 async def test_latched_topic_of_rospy_second_and_rebooted_device_receive_last_message(ros: Graph) -> None:
-    text = [topic(Id.SUBSCRIBER, 102, "/text", STRING)]
+    text = [topic(EndpointKind.SUBSCRIBER, 102, "/text", STRING)]
     async with (
         ros.daemon() as daemon,
         living_device(daemon.tcp, text) as first,
@@ -115,7 +116,7 @@ async def test_program_without_a_type_receives_a_topic_of_ros(ros: Graph) -> Non
 
 @pytest.mark.long
 async def test_a_publisher_of_another_type_is_logged_and_the_others_are_heard(ros: Graph) -> None:
-    topics = [*robot_topics(), topic(Id.SUBSCRIBER, 102, "/text", STRING)]
+    topics = [*robot_topics(), topic(EndpointKind.SUBSCRIBER, 102, "/text", STRING)]
     async with (
         ros.daemon() as daemon,
         living_device(daemon.tcp, topics) as robot,

@@ -13,7 +13,7 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, robot_topics, topic
 from tests.support.precedence import GOES_LAST
@@ -88,7 +88,7 @@ async def driven(folder: Path, *, is_flooded: bool) -> AsyncIterator[Driven]:
         daemon = await stack.enter_async_context(ros.daemon())
         robot = await stack.enter_async_context(living_device(daemon.tcp, robot_topics()))
         if is_flooded:
-            blob = topic(Id.SUBSCRIBER, 105, FLOOD, "std_msgs/String")
+            blob = topic(EndpointKind.SUBSCRIBER, 105, FLOOD, "std_msgs/String")
             await stack.enter_async_context(drained(daemon, [*robot_topics("neighbour"), blob]))
             for number in range(2):
                 words = ("talk", FLOOD, "std_msgs/String", "{data: flood}", "-1", f"name=flood_{number}")

@@ -10,7 +10,8 @@ import pytest
 
 from hostlink.client import Host, HostlinkError, connect
 from hostlink.config import ApiConfig, Config, RobotConfig, TokenConfig
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import Id, encode
 from hostlink.robot.velocity import Twist
 from tests.support.daemon import daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
@@ -19,9 +20,9 @@ from tests.support.waiting import expect, expect_never
 
 pytestmark = pytest.mark.timeout(300)
 
-SCAN = topic(Id.PUBLISHER, 126, "/robot_0/scan", "sensor_msgs/LaserScan")
-TEXT = topic(Id.PUBLISHER, 127, "/robot_0/text", "std_msgs/String")
-SERVO = topic(Id.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
+SCAN = topic(EndpointKind.PUBLISHER, 126, "/robot_0/scan", "sensor_msgs/LaserScan")
+TEXT = topic(EndpointKind.PUBLISHER, 127, "/robot_0/text", "std_msgs/String")
+SERVO = topic(EndpointKind.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from hostlink.api.clients import Clients
 from hostlink.api.events import LINGER_S, MAX_LINES, Reader, StateFeed
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
-from hostlink.protocol.control import Log
-from hostlink.protocol.frame import Id
+from hostlink.protocol.rosserial.control import Log
+from hostlink.protocol.rosserial.frame import Id
 from hostlink.recording.incident import Incident
 from hostlink.recording.recordings import Recordings
 from tests.support.device_codec import encode_log

@@ -9,8 +9,9 @@ from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.link.serving import LinkEnd
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.fake_device import topic
 from tests.support.memory_transport import memory_pair
 
@@ -20,7 +21,8 @@ LINKS, TOPICS = 20, 255
 def crowd(hub: Hub) -> None:
     """Links of devices that have announced as many topics as a device may have."""
     infos = [
-        topic(Id.PUBLISHER, 125 + number, f"/a/name/of/topic/{number}", "std_msgs/String") for number in range(TOPICS)
+        topic(EndpointKind.PUBLISHER, 125 + number, f"/a/name/of/topic/{number}", "std_msgs/String")
+        for number in range(TOPICS)
     ]
     announced = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
     for _ in range(LINKS):

@@ -9,20 +9,21 @@ import pytest
 from hostlink.cli.robots import _robots
 from hostlink.client import Host
 from hostlink.config import Config, RobotConfig, WheelsConfig
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from tests.support.background import cancelling
 from tests.support.fake_device import robot_topics, topic
 from tests.support.memory_client import memory_host
 from tests.support.memory_hub import MemoryHub, in_hub
 
-MOTORS = [topic(Id.SUBSCRIBER, 110 + each, f"/{side}_motor", "std_msgs/Int16") for each, side in enumerate("lr")]
-CAR = topic(Id.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")
-ARM = topic(Id.SUBSCRIBER, 120, "/arm", "sensor_msgs/JointState")
+MOTORS = [
+    topic(EndpointKind.SUBSCRIBER, 110 + each, f"/{side}_motor", "std_msgs/Int16") for each, side in enumerate("lr")
+]
+CAR = topic(EndpointKind.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")
+ARM = topic(EndpointKind.SUBSCRIBER, 120, "/arm", "sensor_msgs/JointState")
 
 
 def shown(
-    *boards: Sequence[TopicInfo],
+    *boards: Sequence[DeviceEndpoint],
     capsys: pytest.CaptureFixture[str],
     is_explained: bool = True,
     as_json: bool = False,

@@ -11,8 +11,9 @@ from hostlink.capture_file import Read, load_reads
 from hostlink.cli.inspect import Inspection, json_value
 from hostlink.errors import BadRequest
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.fake_device import topic
 
 
@@ -25,8 +26,8 @@ def test_unknown_type_is_shown_as_bytes() -> None:
 
 
 def test_one_id_in_both_directions_is_two_topics() -> None:
-    pose = encode_topic_info(topic(Id.PUBLISHER, 125, "/pose", "geometry_msgs/Pose2D"))
-    led = encode_topic_info(topic(Id.SUBSCRIBER, 125, "/led", "std_msgs/Bool"))
+    pose = encode_topic_info(topic(EndpointKind.PUBLISHER, 125, "/pose", "geometry_msgs/Pose2D"))
+    led = encode_topic_info(topic(EndpointKind.SUBSCRIBER, 125, "/led", "std_msgs/Bool"))
     inspection = Inspection(Catalog())
     inspection.add_all(
         [

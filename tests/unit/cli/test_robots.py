@@ -11,7 +11,7 @@ import typer
 from hostlink.cli.robots import _halt, _lock, _stop, _unlock
 from hostlink.client import Host, Robot, Standstill, StandstillState, Stopped
 from hostlink.errors import CommandRefused, HostlinkError
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from tests.support.background import cancelling
 from tests.support.fake_device import topic
 from tests.support.memory_client import memory_host
@@ -132,9 +132,9 @@ async def test_the_refusal_of_an_unknown_robot_names_the_command_for_every_robot
 
 # -- robots and boards of a hub ---------------------------------------------------------------------------------------
 
-MOTOR = topic(Id.SUBSCRIBER, 110, "/left_motor", "std_msgs/Int16")
-WORD = topic(Id.SUBSCRIBER, 111, "/motor_command", "std_msgs/String")
-CAR = topic(Id.SUBSCRIBER, 100, "/car/cmd_vel", "geometry_msgs/Twist")  # of a robot without odometry
+MOTOR = topic(EndpointKind.SUBSCRIBER, 110, "/left_motor", "std_msgs/Int16")
+WORD = topic(EndpointKind.SUBSCRIBER, 111, "/motor_command", "std_msgs/String")
+CAR = topic(EndpointKind.SUBSCRIBER, 100, "/car/cmd_vel", "geometry_msgs/Twist")  # of a robot without odometry
 SENT = " of link 2 (10.0.0.3)"
 
 

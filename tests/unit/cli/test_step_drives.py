@@ -29,7 +29,7 @@ from hostlink.cli.step import (
 from hostlink.client import PRIORITY, Host
 from hostlink.config import Config, ParameterValue, RobotConfig
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.motor_model import PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, step_figures
 from hostlink.robot.velocity import PlanarVelocity
@@ -46,7 +46,7 @@ from tests.support.waiting import expect
 
 SLOW = make_stage(0.04, 1.5, None, 0.21)  # 33 ticks/s: a set-point that is there after 0.6 s
 LONG = replace(SLOW, seconds=30.0)
-PLOT = topic(Id.PUBLISHER, 126, "/robot_0/plot_data", "geometry_msgs/Twist")
+PLOT = topic(EndpointKind.PUBLISHER, 126, "/robot_0/plot_data", "geometry_msgs/Twist")
 PAUSE_S = 0.1  # in which the daemon answers, and a zero is sent
 
 
@@ -249,7 +249,7 @@ async def test_a_robot_that_sends_nothing_is_not_driven() -> None:
 
 async def run_away(device: ScriptedDevice) -> None:
     while True:
-        await device.send(PLOT.topic_id, np.array([50.0, 0, 0, 0, 0, 0]).tobytes())
+        await device.send(PLOT.id, np.array([50.0, 0, 0, 0, 0, 0]).tobytes())
         await asyncio.sleep(0.1)
 
 

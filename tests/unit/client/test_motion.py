@@ -12,7 +12,7 @@ from hostlink.client import Motion, MotionOutcome, Progress, Robot
 from hostlink.client.driver import VelocitySender
 from hostlink.client.motion import Begin, CoursePilot, Fix, follow, line, turn
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.background import cancelling
@@ -567,7 +567,7 @@ async def test_end_of_all_motions_ends_one_that_has_not_commanded_and_no_later_o
 @pytest.mark.parametrize("way", ["move", "turn"])
 def test_motion_of_a_robot_without_a_pose_is_refused_at_once(way: str) -> None:
     async def test(made: MemoryHub) -> None:
-        device = await made.connect([topic(Id.SUBSCRIBER, 100, "/car/cmd_vel", "geometry_msgs/Twist")])
+        device = await made.connect([topic(EndpointKind.SUBSCRIBER, 100, "/car/cmd_vel", "geometry_msgs/Twist")])
         async with cancelling() as tasks, memory_host(made.hub, tasks) as host:
             began_s, before = made.now_s, len(device.payloads(100))
             with pytest.raises(BadRequest, match="car has no odometry, so that no distance"):

@@ -9,12 +9,15 @@ from hostlink.diagnosis.evidence import MIN_WALL_NS, Complaint, HostClock, port_
 from hostlink.diagnosis.link_monitor import LinkMonitor
 from hostlink.diagnosis.rules import diagnose
 from hostlink.errors import FrameTooLarge
-from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.protocol.events import DeviceLogged, TimeRequested, TopicsNegotiated, TopicsRequested
-from hostlink.protocol.frame import Id, encode
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.protocol.rosserial.session import Session
 
-TWIST = TopicInfo(Id.SUBSCRIBER, 100, "/cmd_vel", "geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a", 48)
+TWIST = DeviceEndpoint(
+    EndpointKind.SUBSCRIBER, 100, "/cmd_vel", "geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a", 48
+)
 
 
 def session() -> Session:
@@ -98,7 +101,7 @@ def test_publisher_whose_messages_never_fit_its_buffer_is_found(least_bytes: int
     negotiated = Session(check=lambda _: None)
     monitor = LinkMonitor(negotiated, now_s=0.0, least_bytes=lambda _: least_bytes)
     negotiated.open(now_s=0.0)
-    odometry = TopicInfo(Id.PUBLISHER, 125, "/odom", "nav_msgs/Odometry", "0" * 32, 512)
+    odometry = DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/odom", "nav_msgs/Odometry", "0" * 32, 512)
     negotiated.receive(encode(Id.PUBLISHER, encode_topic_info(odometry)), now_s=0.1)
     negotiated.tick(now_s=1.0)
     assert monitor.evidence(2.0, silent_s=0.0).too_small == found
@@ -165,7 +168,7 @@ def test_the_firmware_is_read_from_the_log(text: str, firmware: str | None) -> N
 
 
 def test_refused_topics_have_their_reason() -> None:
-    def refuse(info: TopicInfo) -> int | None:
+    def refuse(info: DeviceEndpoint) -> int | None:
         raise FrameTooLarge(info.name, 2, 1)
 
     negotiated = Session(check=refuse)

@@ -7,11 +7,12 @@ import pytest
 from hostlink.capture_file import Read, load_reads
 from hostlink.diagnosis.finding import Finding
 from hostlink.diagnosis.replay import replay
-from hostlink.hub.device import check_type
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, encode
+from hostlink.protocol.rosserial.protocol import check_type
+from hostlink.protocol.rosserial.stream import FrameStream
 
 CAPTURES = Path(__file__).parent.parent.parent / "captures"
 CATALOG = Catalog()
@@ -40,7 +41,7 @@ def late(reads: list[Read], begin_s: float) -> list[Read]:
     stream = FrameStream()
     before = (bytes.fromhex(read.hex) for read in reads if read.dir == "device" and read.t < begin_s)
     frames = (item for data in before for item in stream.feed(data) if isinstance(item, Frame))
-    infos = (frame for frame in frames if frame.topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER)
+    infos = (frame for frame in frames if frame.topic_id <= EndpointKind.SERVICE_CLIENT_SUBSCRIBER)
     announced = b"".join(encode(*info) for info in infos).hex()
     kept = [read for read in reads if read.dir == "host" or read.t >= begin_s]
     return [Read("device", t=0.0, event="open"), Read("device", announced, kept[0].t, event="topics"), *kept]
@@ -78,7 +79,9 @@ def test_device_that_sends_only_time_requests_has_no_topics() -> None:
 
 
 def test_topics_are_known_half_a_second_after_the_last_one() -> None:
-    info = TopicInfo(Id.PUBLISHER, 125, "/bumper", "std_msgs/Bool", "8b94c1b53db61fb6aed406028ad6332a", 512)
+    info = DeviceEndpoint(
+        EndpointKind.PUBLISHER, 125, "/bumper", "std_msgs/Bool", "8b94c1b53db61fb6aed406028ad6332a", 512
+    )
     announced = Read("device", encode(info.kind, encode_topic_info(info)).hex(), 0.1)
     reads = [Read("device", t=0.0, event="open"), Read("host", "fffe0000ff0000ff", 0.0), announced]
     (connection,) = replay(

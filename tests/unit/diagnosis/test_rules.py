@@ -8,8 +8,8 @@ from hostlink.diagnosis.evidence import Complaint, EarlierLink, Evidence, PortSh
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.motion_monitor import MotionEvidence
 from hostlink.diagnosis.rules import diagnose
-from hostlink.protocol.frame import Id, encode
-from hostlink.protocol.resampling import resample
+from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.protocol.rosserial.resampling import resample
 
 GOOD = Tally(bytes_from_device=3000, frames=100)
 HEALTHY = Evidence(

@@ -7,8 +7,8 @@ import pytest
 
 from hostlink.capture_file import load_reads
 from hostlink.diagnosis.speed import guess_speed
-from hostlink.protocol.frame import Id, encode
-from hostlink.protocol.resampling import resample
+from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.protocol.rosserial.resampling import resample
 
 CAPTURE = Path(__file__).parent.parent.parent / "captures" / "services.jsonl"
 TIME_REQUESTS = encode(Id.TIME, bytes(8)) * 60

@@ -9,7 +9,7 @@ import pytest
 
 from hostlink.guardian.connection import DATAGRAM_BYTES, GuardedConnection
 from hostlink.guardian.frames import INTERVAL_S, ZEROS
-from hostlink.protocol.frame import STOP_REQUEST, encode
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, encode
 
 END_S = ZEROS * INTERVAL_S
 ZERO = encode(100, bytes(48))

@@ -3,7 +3,7 @@
 import pytest
 
 from hostlink.guardian.frames import INTERVAL_S, LEAD, StopWriter, packed, stop_sequence
-from hostlink.protocol.frame import STOP_REQUEST, encode
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, encode
 
 BUFFER_BYTES = 512
 ZERO = encode(100, bytes(48))

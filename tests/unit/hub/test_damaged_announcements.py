@@ -7,8 +7,9 @@ from collections.abc import Callable
 import pytest
 
 from hostlink.errors import HostlinkError
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.fake_device import robot_topics, topic
@@ -17,27 +18,27 @@ from tests.support.memory_hub import MemoryHub, in_hub, twist_zeros, velocities
 from tests.support.scripted_device import ScriptedDevice
 
 SLOW = PlanarVelocity(0.1)
-VELOCITY = topic(Id.SUBSCRIBER, 100, "/robot_0/velocity_commands", "geometry_msgs/Twist")
+VELOCITY = topic(EndpointKind.SUBSCRIBER, 100, "/robot_0/velocity_commands", "geometry_msgs/Twist")
 DAMAGES = {
     "md5": VELOCITY._replace(md5="8" + VELOCITY.md5[1:]),
     "buffer": VELOCITY._replace(buffer_bytes=16),
     "type": VELOCITY._replace(type="geometry_msgs/Twisu"),
     "name": VELOCITY._replace(name="/robot_0/vflocity_commands"),
     "namespace": VELOCITY._replace(name="/robot_1/velocity_commands"),
-    "id": VELOCITY._replace(topic_id=116),
-    "id of another": VELOCITY._replace(topic_id=101),
-    "publisher": VELOCITY._replace(kind=Id.PUBLISHER),
-    "service": VELOCITY._replace(kind=Id.SERVICE_SERVER_SUBSCRIBER),
+    "id": VELOCITY._replace(id=116),
+    "id of another": VELOCITY._replace(id=101),
+    "publisher": VELOCITY._replace(kind=EndpointKind.PUBLISHER),
+    "service": VELOCITY._replace(kind=EndpointKind.SERVICE_SERVER_SUBSCRIBER),
 }
 damages = pytest.mark.parametrize("damaged", DAMAGES.values(), ids=DAMAGES)
 alone = pytest.mark.parametrize("is_alone", [False, True], ids=["all topics", "one topic"])
 
 
-def with_damage(damaged: TopicInfo) -> list[TopicInfo]:
+def with_damage(damaged: DeviceEndpoint) -> list[DeviceEndpoint]:
     return [damaged if info == VELOCITY else info for info in robot_topics()]
 
 
-async def announce(device: ScriptedDevice, infos: list[TopicInfo]) -> None:
+async def announce(device: ScriptedDevice, infos: list[DeviceEndpoint]) -> None:
     for info in infos:
         await device.send(info.kind, encode_topic_info(info))
     await device.send(Id.TIME, bytes(8))
@@ -56,7 +57,7 @@ async def driven(made: MemoryHub) -> ScriptedDevice:
 @alone
 @damages
 def test_robot_receives_zero_at_once_and_is_driven_again_after_a_second_announcement(
-    damaged: TopicInfo, is_alone: bool
+    damaged: DeviceEndpoint, is_alone: bool
 ) -> None:
     async def test(made: MemoryHub) -> None:
         device = await driven(made)
@@ -77,7 +78,7 @@ def test_robot_receives_zero_at_once_and_is_driven_again_after_a_second_announce
 
 
 @damages
-def test_all_of_its_zeros_are_sent_and_it_stays_guarded_while_the_damage_lasts(damaged: TopicInfo) -> None:
+def test_all_of_its_zeros_are_sent_and_it_stays_guarded_while_the_damage_lasts(damaged: DeviceEndpoint) -> None:
     async def test(made: MemoryHub) -> None:
         device = await driven(made)
         zero = device.link.last_frame
@@ -143,8 +144,8 @@ def test_no_zero_is_sent_to_an_id_with_another_meaning() -> None:
     async def test(made: MemoryHub) -> None:
         device = await driven(made)
         device.infos = [
-            topic(Id.PUBLISHER, 125, "/text", "std_msgs/String"),
-            topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool"),
+            topic(EndpointKind.PUBLISHER, 125, "/text", "std_msgs/String"),
+            topic(EndpointKind.SUBSCRIBER, 100, "/led", "std_msgs/Bool"),
         ]
         device.heard.clear()
         await announce(device, device.infos)
@@ -157,7 +158,7 @@ def test_no_zero_is_sent_to_an_id_with_another_meaning() -> None:
 
 
 @damages
-def test_source_that_drives_on_through_the_damage_must_let_go(damaged: TopicInfo) -> None:
+def test_source_that_drives_on_through_the_damage_must_let_go(damaged: DeviceEndpoint) -> None:
     async def test(made: MemoryHub) -> None:
         device = await driven(made)
         device.heard.clear()

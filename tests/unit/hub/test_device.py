@@ -11,7 +11,7 @@ from tests.support.memory_hub import MemoryHub, in_hub, velocities
 
 def test_device_that_uses_one_id_in_both_directions_is_read_and_driven() -> None:
     async def test(made: MemoryHub) -> None:
-        infos = [info._replace(topic_id=125 if info.topic_id == 100 else info.topic_id) for info in robot_topics()]
+        infos = [info._replace(id=125 if info.id == 100 else info.id) for info in robot_topics()]
         device = await made.connect(infos)
         await device.send(125, struct.pack("<3d", 1.0, 2.0, 0.5))
         await asyncio.sleep(0.05)

@@ -17,10 +17,10 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.services import DEVICE_TIMEOUT_S, Provider
 from hostlink.link.serving import LinkEnd
 from hostlink.messages.message_type import MessageType
-from hostlink.protocol.control import Parameter, TopicInfo
-from hostlink.protocol.events import ServiceRequested
-from hostlink.protocol.frame import OVERHEAD_BYTES, Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.events import Parameter, ServiceRequested
 from hostlink.protocol.outbox import MAX_REPLIES
+from hostlink.protocol.rosserial.frame import OVERHEAD_BYTES, Id
 from tests.support.fake_device import CATALOG, robot_topics, service_type, topic
 from tests.support.ros_lib_device import (
     REQUESTS,
@@ -48,7 +48,7 @@ ANY_LAYOUTS = [
 Answer = Callable[[Mapping[str, object]], Awaitable[Mapping[str, object]]]
 
 
-def trigger(*, buffer_bytes: int = 512, count: int = 1) -> list[TopicInfo]:
+def trigger(*, buffer_bytes: int = 512, count: int = 1) -> list[DeviceEndpoint]:
     type_ = service_type("std_srvs/Trigger")
     md5 = type_.request.md5, type_.response.md5
     return clients("/go", "std_srvs/Trigger", md5=md5, buffer_bytes=buffer_bytes, count=count)
@@ -71,7 +71,7 @@ async def with_a_bug(_: Mapping[str, object]) -> Mapping[str, object]:
 
 
 def outcome(
-    topics: list[TopicInfo],
+    topics: list[DeviceEndpoint],
     response: MessageType,
     *providers: Provider,
     request: bytes = b"",
@@ -147,13 +147,13 @@ def test_an_answer_of_another_layout_is_a_failure(values: dict[str, object]) -> 
     assert found["message"]
 
 
-@pytest.mark.parametrize("which", [Id.SERVICE_CLIENT_PUBLISHER, Id.SERVICE_CLIENT_SUBSCRIBER])
-def test_a_type_that_has_another_md5_here_is_answered_all_the_same(which: Id) -> None:
+@pytest.mark.parametrize("which", [EndpointKind.SERVICE_CLIENT_PUBLISHER, EndpointKind.SERVICE_CLIENT_SUBSCRIBER])
+def test_a_type_that_has_another_md5_here_is_answered_all_the_same(which: EndpointKind) -> None:
     topics = [info._replace(md5="0" * 32) if info.kind is which else info for info in trigger()]
     provider = Provider("/go", "std_srvs/Trigger", "it", answering({"success": True}))
     found, _, end = outcome(topics, TRIGGER_RESPONSE, provider)
     assert isinstance(found, dict)
-    assert (found["success"], end) == (which is Id.SERVICE_CLIENT_SUBSCRIBER and False, None)
+    assert (found["success"], end) == (which is EndpointKind.SERVICE_CLIENT_SUBSCRIBER and False, None)
 
 
 def test_request_of_another_type_is_answered() -> None:
@@ -190,8 +190,8 @@ def test_a_device_that_never_announced_where_responses_go_loses_its_link_at_the_
 
 
 def test_a_robot_that_loses_its_link_so_receives_zero_first() -> None:
-    velocity = topic(Id.SUBSCRIBER, 101, "/robot_0/velocity_commands", "geometry_msgs/Twist", buffer_bytes=64)
-    odometry = topic(Id.PUBLISHER, 126, "/robot_0/odometry", "geometry_msgs/Pose2D")
+    velocity = topic(EndpointKind.SUBSCRIBER, 101, "/robot_0/velocity_commands", "geometry_msgs/Twist", buffer_bytes=64)
+    odometry = topic(EndpointKind.PUBLISHER, 126, "/robot_0/odometry", "geometry_msgs/Pose2D")
     robot = [*trigger(buffer_bytes=12), velocity, odometry]
 
     async def run() -> list[int]:
@@ -199,18 +199,18 @@ def test_a_robot_that_loses_its_link_so_receives_zero_first() -> None:
             running_hub(Hub(Config(), CATALOG, reraises=True)) as hub,
             ros_lib_device(hub, robot, TRIGGER_RESPONSE) as connected,
         ):
-            while (await connected.device.next()).topic_id != velocity.topic_id:
+            while (await connected.device.next()).topic_id != velocity.id:
                 pass  # the zero with which a session begins
             await asyncio.sleep(1.0)
             await connected.device.send(REQUESTS, b"")
             heard = []
             while not heard or heard[-1].topic_id != Id.STOP:
                 heard.append(await connected.device.next())
-            last = [frame for frame in heard if frame.topic_id == velocity.topic_id][-1]
+            last = [frame for frame in heard if frame.topic_id == velocity.id][-1]
             assert last.payload == bytes(48)
             return [frame.topic_id for frame in heard[-2:]]
 
-    assert run_virtual(run()) == [velocity.topic_id, Id.STOP]
+    assert run_virtual(run()) == [velocity.id, Id.STOP]
 
 
 # -- between devices --------------------------------------------------------------------------------------------------
@@ -218,8 +218,8 @@ def test_a_robot_that_loses_its_link_so_receives_zero_first() -> None:
 
 def test_two_devices_of_one_definition_need_none_here() -> None:
     server = [
-        TopicInfo(Id.SERVICE_SERVER_PUBLISHER, 125, "/go", "my_srvs/Mine", UNKNOWN[1], 512),
-        TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/go", "my_srvs/Mine", UNKNOWN[0], 512),
+        DeviceEndpoint(EndpointKind.SERVICE_SERVER_PUBLISHER, 125, "/go", "my_srvs/Mine", UNKNOWN[1], 512),
+        DeviceEndpoint(EndpointKind.SERVICE_SERVER_SUBSCRIBER, 100, "/go", "my_srvs/Mine", UNKNOWN[0], 512),
     ]
     response = response_type("string output\nint32 n")
 

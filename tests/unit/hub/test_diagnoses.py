@@ -8,8 +8,9 @@ import pytest
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import ENDED_LINKS, LOG_AGAIN_S, MAX_ANNOUNCED, Diagnosis
 from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import encode
 from tests.support.fake_device import robot_topics, topic
 from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.scripted_device import ScriptedDevice
@@ -105,7 +106,7 @@ def test_announcements_are_remembered_by_their_place_in_the_stream() -> None:
         assert found.announced_before(0) == encoded(found.topics)
         places, announced = [device.link.session.counts.bytes_from_device], [found.topics]
         for number in range(MAX_ANNOUNCED):
-            device.infos.append(topic(Id.PUBLISHER, 200 + number, f"/extra_{number}", "std_msgs/Bool"))
+            device.infos.append(topic(EndpointKind.PUBLISHER, 200 + number, f"/extra_{number}", "std_msgs/Bool"))
             for _ in range(2):  # the second time unchanged: no other announcement
                 await device.announce()
                 await asyncio.sleep(1.5)
@@ -122,7 +123,7 @@ def test_announcements_are_remembered_by_their_place_in_the_stream() -> None:
 
 def test_same_device_has_the_address_and_the_robot_or_the_topics() -> None:
     async def test(made: MemoryHub) -> None:
-        text = [topic(Id.PUBLISHER, 125, "/text", "std_msgs/String")]
+        text = [topic(EndpointKind.PUBLISHER, 125, "/text", "std_msgs/String")]
         devices = [
             await made.connect(infos, address=address)
             for infos, address in (
@@ -131,7 +132,7 @@ def test_same_device_has_the_address_and_the_robot_or_the_topics() -> None:
                 (text, "10.0.0.3"),
                 (text, "10.0.0.3"),
                 (text, "10.0.0.4"),
-                ([topic(Id.PUBLISHER, 125, "/other", "std_msgs/String")], "10.0.0.3"),
+                ([topic(EndpointKind.PUBLISHER, 125, "/other", "std_msgs/String")], "10.0.0.3"),
             )
         ]
         a, b, *others = [await diagnosis_of(made, each) for each in devices]

@@ -11,8 +11,9 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import Log
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.control import Log
+from hostlink.protocol.rosserial.frame import Id
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import robot_topics, topic
 from tests.support.scripted_device import ScriptedDevice
@@ -62,7 +63,9 @@ def test_a_status_for_the_daemon_its_parts_each_robot_each_other_device_and_each
     async def play(hub: Hub) -> None:
         reader = Reader(hub.join("a monitor"))
         robot = ScriptedDevice(hub, robot_topics(), address="192.168.4.2", peer="192.168.4.2:5000")
-        lamp = ScriptedDevice(hub, [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")], address="192.168.4.3")
+        lamp = ScriptedDevice(
+            hub, [topic(EndpointKind.SUBSCRIBER, 100, "/led", "std_msgs/Bool")], address="192.168.4.3"
+        )
         hub.diagnoses.observe_port("/dev/ttyACM0", FileNotFoundError(2, "no such port"))
         hub.diagnoses.observe_own("recordings", "recordings_taken", "by another daemon")
         for _ in range(30):
@@ -183,7 +186,7 @@ def test_arrays_come_once_a_second_a_crowd_in_several_and_none_without_a_subscri
 def test_names_are_unique_also_of_devices_behind_one_address() -> None:
     async def play(hub: Hub) -> None:
         reader = Reader(hub.join("a monitor"))
-        infos = [[topic(Id.PUBLISHER, 125, f"/{name}", "std_msgs/Bool")] for name in "abc"]
+        infos = [[topic(EndpointKind.PUBLISHER, 125, f"/{name}", "std_msgs/Bool")] for name in "abc"]
         devices = [ScriptedDevice(hub, each, address="192.168.4.3") for each in infos]
         await asyncio.sleep(1.5)
         names = [status["name"] for status in reader.arrays[-1]["status"]]

@@ -12,7 +12,8 @@ from hostlink.hub.gates import FEED_INTERVAL_S, MAX_GUARDED, Refusals
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Node
 from hostlink.hub.robot_events import LEASE_ENDED, LET_GO, NOT_TAKEN, OTHER_TOPICS, EventKind, RobotEvent
-from hostlink.protocol.frame import STOP_REQUEST, Id, encode
+from hostlink.protocol.endpoint import EndpointKind
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 from tests.support.compiled_modules import replaces_a_method
@@ -297,11 +298,11 @@ def test_guard_watches_velocity_topics_and_knows_which_links_are_driven() -> Non
 
 def test_guard_is_told_of_every_velocity_topic_of_other_ids_and_larger_frames_until_none_is_left() -> None:
     async def test(made: MemoryHub) -> None:
-        arm = topic(Id.SUBSCRIBER, 107, "/robot_0/arm_vel", "geometry_msgs/Twist")
+        arm = topic(EndpointKind.SUBSCRIBER, 107, "/robot_0/arm_vel", "geometry_msgs/Twist")
         device = await made.connect([arm, *robot_topics()])
         number, (odometry, velocity, reset) = device.link.number, robot_topics()
         assert made.guard.watched[number] == (twist_zeros(100, 107), 512)
-        device.infos = [odometry, velocity._replace(topic_id=104), reset._replace(buffer_bytes=2048)]
+        device.infos = [odometry, velocity._replace(id=104), reset._replace(buffer_bytes=2048)]
         await device.announce()
         await asyncio.sleep(0.1)
         assert made.guard.watched[number] == (twist_zeros(104, 100, 107), 2048)  # the announcement may be damaged
@@ -332,7 +333,9 @@ def test_guard_watches_the_new_connection_of_a_robot_and_no_device_without_veloc
 
 def test_guard_watches_no_more_than_its_bound_of_velocity_topics() -> None:
     async def test(made: MemoryHub) -> None:
-        infos = [topic(Id.SUBSCRIBER, 100 + each, f"/n{each}/cmd_vel", "geometry_msgs/Twist") for each in range(20)]
+        infos = [
+            topic(EndpointKind.SUBSCRIBER, 100 + each, f"/n{each}/cmd_vel", "geometry_msgs/Twist") for each in range(20)
+        ]
         device = await made.connect(infos)
         number = device.link.number
         assert made.guard.watched[number][0] == twist_zeros(*range(100, 100 + MAX_GUARDED))
@@ -373,7 +376,7 @@ def test_source_that_leaves_is_withdrawn_from_robots_of_other_daemons() -> None:
 
 def test_higher_priority_stops_what_another_source_drives_of_the_same_robot() -> None:
     async def test(made: MemoryHub) -> None:
-        more = topic(Id.SUBSCRIBER, 110, "/robot_0/cmd_vel_raw", "geometry_msgs/Twist")
+        more = topic(EndpointKind.SUBSCRIBER, 110, "/robot_0/cmd_vel_raw", "geometry_msgs/Twist")
         device = await made.connect([*robot_topics(), more])
         main, other = made.robot().beside
         assert other.name == "robot_0"
@@ -393,7 +396,7 @@ def test_higher_priority_stops_what_another_source_drives_of_the_same_robot() ->
 
 def test_velocity_topic_of_a_spatial_drive_keeps_six_numbers() -> None:
     async def test(made: MemoryHub) -> None:
-        device = await made.connect([topic(Id.SUBSCRIBER, 100, "/arm/cmd_vel", "geometry_msgs/Twist")])
+        device = await made.connect([topic(EndpointKind.SUBSCRIBER, 100, "/arm/cmd_vel", "geometry_msgs/Twist")])
         twist = Twist(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
         participant = made.hub.join("ann")
         participant.advertise("/arm/cmd_vel", "geometry_msgs/Twist")
@@ -506,11 +509,11 @@ def test_link_ends_with_one_zero_for_each_velocity_topic_also_after_another_anno
         device = await made.connect()
         zero = encode(100, ZERO.encode())
         assert device.link.last_frame == zero
-        device.infos.append(topic(Id.PUBLISHER, 200, "/extra", "std_msgs/Bool"))
+        device.infos.append(topic(EndpointKind.PUBLISHER, 200, "/extra", "std_msgs/Bool"))
         await device.announce()
         await asyncio.sleep(1.5)
         assert device.link.last_frame == zero
-        device.infos.append(topic(Id.SUBSCRIBER, 201, "/robot_0/cmd_vel", "geometry_msgs/Twist"))
+        device.infos.append(topic(EndpointKind.SUBSCRIBER, 201, "/robot_0/cmd_vel", "geometry_msgs/Twist"))
         await device.announce()
         await asyncio.sleep(1.5)
         other = encode(201, ZERO.encode())
@@ -587,7 +590,7 @@ def test_drive_ends_when_the_device_announces_other_topics() -> None:
         await asyncio.sleep(1.0)
         drive_gate(made.robot(), SLOW, owner="ann")
         events = events_of(made)
-        device.infos.append(topic(Id.PUBLISHER, 126, "/extra", "std_msgs/Bool"))
+        device.infos.append(topic(EndpointKind.PUBLISHER, 126, "/extra", "std_msgs/Bool"))
         await device.announce()
         await asyncio.sleep(0.05)
         stops = [each.facts for each in events if each.kind is EventKind.STOPPED]

@@ -10,13 +10,10 @@ from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import HostlinkError, ReloadRefused
 from hostlink.hub.hub import places_of
 from hostlink.hub.robot import LocalRobot
-from hostlink.protocol.control import (
-    Log,
-    Parameter,
-    TopicInfo,
-    decode_parameter,
-)
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.events import Parameter
+from hostlink.protocol.rosserial.control import Log, decode_parameter
+from hostlink.protocol.rosserial.frame import Id
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.background import meanwhile
 from tests.support.device_codec import encode_log, encode_parameter_request
@@ -26,8 +23,8 @@ from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.scripted_device import ScriptedDevice
 
 SLOW = PlanarVelocity(0.1)
-MARK = topic(Id.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
-SENSOR = [topic(Id.PUBLISHER, 125, "/imu", "std_msgs/Bool")]
+MARK = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
+SENSOR = [topic(EndpointKind.PUBLISHER, 125, "/imu", "std_msgs/Bool")]
 
 
 def test_link_is_logged_from_its_opening_to_its_end() -> None:
@@ -144,7 +141,7 @@ def test_driven_board_that_publishes_nothing_stays_beside_a_second_one_that_was_
     """The answer to a request for the topics is the only sign of life, and the board answers at once."""
 
     async def test(made: MemoryHub) -> None:
-        topics = [topic(Id.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
+        topics = [topic(EndpointKind.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
         first = await made.connect(topics, peer="10.0.0.2:1")
         await asyncio.sleep(after_s)
         async with meanwhile(drive_often(made.robot())):
@@ -368,7 +365,7 @@ def _at(address: str) -> "_At":
 
 def test_topic_with_another_type_than_a_robot_s_own_is_ended() -> None:
     async def test(made: MemoryHub) -> None:
-        await made.connect([topic(Id.PUBLISHER, 125, "/robot_0/velocity_commands", "std_msgs/Bool")])
+        await made.connect([topic(EndpointKind.PUBLISHER, 125, "/robot_0/velocity_commands", "std_msgs/Bool")])
         robot = await made.connect(address="10.0.0.3")
         assert made.hub.topics.find("/robot_0/velocity_commands").type_name == "geometry_msgs/Twist"
         drive_gate(made.robot(), SLOW, owner="ann")
@@ -420,7 +417,7 @@ def test_robot_with_other_topics_is_not_locked_for_one_that_is_away() -> None:
 
 def test_topics_announced_again_send_latched_messages_again() -> None:
     async def test(made: MemoryHub) -> None:
-        infos: list[TopicInfo] = [topic(Id.SUBSCRIBER, 100, "/text", "std_msgs/String")]
+        infos: list[DeviceEndpoint] = [topic(EndpointKind.SUBSCRIBER, 100, "/text", "std_msgs/String")]
         device = await made.connect(infos)
         participant = made.hub.join("ann")
         found = participant.advertise("/text", "std_msgs/String", is_latched=True)

@@ -7,8 +7,8 @@ from structlog.testing import capture_logs
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.ros_lib_device import running_hub

@@ -12,7 +12,7 @@ from hostlink.config import ParameterValue
 from hostlink.errors import ServiceFailed, WrongType
 from hostlink.hub.parameters import MAX_UNKNOWN_NAMES, MAX_WAITING, ParameterAnswers
 from hostlink.link.link import Link
-from hostlink.protocol.control import Parameter
+from hostlink.protocol.events import Parameter
 from tests.support.virtual_loop import run_virtual
 
 NONE = Parameter()

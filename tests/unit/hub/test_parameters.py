@@ -5,7 +5,7 @@ import pytest
 from hostlink.config import ParameterValue
 from hostlink.errors import WrongType
 from hostlink.hub.parameters import find_parameter, to_parameter
-from hostlink.protocol.control import Parameter
+from hostlink.protocol.events import Parameter
 
 
 @pytest.mark.parametrize(

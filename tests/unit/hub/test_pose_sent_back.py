@@ -3,7 +3,7 @@
 import asyncio
 import struct
 
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.feedback import SENT_BACK
 from tests.support.fake_device import topic
 from tests.support.memory_hub import MemoryHub, in_hub
@@ -11,9 +11,9 @@ from tests.support.participants import ROBOT, publish
 
 GIVEN, ODOMETRY = 101, 125
 INFOS = [
-    topic(Id.SUBSCRIBER, 100, f"/{ROBOT}/cmd_vel", "geometry_msgs/Twist"),
-    topic(Id.SUBSCRIBER, GIVEN, "/pose2D", "geometry_msgs/Pose2D"),
-    topic(Id.PUBLISHER, ODOMETRY, f"/{ROBOT}/odom", "geometry_msgs/Pose2D"),
+    topic(EndpointKind.SUBSCRIBER, 100, f"/{ROBOT}/cmd_vel", "geometry_msgs/Twist"),
+    topic(EndpointKind.SUBSCRIBER, GIVEN, "/pose2D", "geometry_msgs/Pose2D"),
+    topic(EndpointKind.PUBLISHER, ODOMETRY, f"/{ROBOT}/odom", "geometry_msgs/Pose2D"),
 ]
 
 

@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 from hostlink.config import CalibrationConfig, Config, RobotConfig
 from hostlink.errors import CommandRefused, ConfigError, DeviceGone, UnknownTopic
 from hostlink.hub.robot import MAX_LOCK_REASON, RemoteOdometry, correction_of, limits_of, of_namesake
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.velocity import ZERO, PlanarVelocity
@@ -84,7 +84,7 @@ async def test_pose_that_a_program_publishes_is_not_the_robot_s(made: MemoryHub)
 
 @inside(in_hub)
 async def test_battery_of_the_device_is_shown_until_it_leaves(made: MemoryHub) -> None:
-    infos = [*robot_topics(), topic(Id.PUBLISHER, 126, "/robot_0/battery", "sensor_msgs/BatteryState")]
+    infos = [*robot_topics(), topic(EndpointKind.PUBLISHER, 126, "/robot_0/battery", "sensor_msgs/BatteryState")]
     device = await made.connect(infos)
     found = made.hub.catalog.message("sensor_msgs/BatteryState")
     await device.send(126, found.encode({"voltage": 12.5, "percentage": 0.5}))
@@ -110,7 +110,7 @@ async def test_reason_why_a_robot_moves_names_the_driver_then_the_ramp(made: Mem
 
 @inside(in_hub)
 async def test_reason_why_a_moving_robot_ignores_a_stop_is_its_recording(made: MemoryHub) -> None:
-    await made.connect([*robot_topics(), topic(Id.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")])
+    await made.connect([*robot_topics(), topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")])
     drive_gate(made.robot(), PlanarVelocity(0.5), owner="ann")
     assert made.robot().why_moving() == "it is a recording, which obeys nobody"
 
@@ -300,7 +300,7 @@ async def test_source_that_commanded_before_the_robot_existed_is_disarmed(made: 
 
 @inside(in_hub)
 async def test_reconfigured_limits_hold_at_once_for_each_velocity_topic(made: MemoryHub) -> None:
-    more = topic(Id.SUBSCRIBER, 110, "/robot_0/cmd_vel_raw", "geometry_msgs/Twist")
+    more = topic(EndpointKind.SUBSCRIBER, 110, "/robot_0/cmd_vel_raw", "geometry_msgs/Twist")
     await made.connect([*robot_topics(), more])
     drive_gate(made.robot(), PlanarVelocity(0.5), owner="ann")
     made.hub.robots.reconfigure({"robot_0": RobotConfig(max_linear_m_s=0.2, cmd_vel_max_age_s=2.0)})

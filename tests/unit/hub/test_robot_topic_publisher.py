@@ -10,8 +10,8 @@ from structlog.testing import capture_logs
 
 from hostlink.errors import WrongType
 from hostlink.hub.hub import Hub
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import Id
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import robot_topics, topic
 from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, POSE, VELOCITY_ID, Scene, play, publish, subscribe
@@ -22,7 +22,7 @@ NAME = "robot_2"
 VELOCITY, ODOMETRY, RESET = (f"/{NAME}/{leaf}" for leaf in ("velocity_commands", "odometry", "reset_odometry"))
 TYPES = {VELOCITY: TWIST_TYPE, ODOMETRY: "geometry_msgs/Pose2D", RESET: "std_msgs/Empty"}
 OTHER_ID, TEXT_ID = 126, 127
-TEXT = topic(Id.PUBLISHER, TEXT_ID, "/text", "std_msgs/String")
+TEXT = topic(EndpointKind.PUBLISHER, TEXT_ID, "/text", "std_msgs/String")
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Crowd:
     hub: Hub
     devices: list[ScriptedDevice] = field(default_factory=list)
 
-    async def connect(self, infos: list[TopicInfo], address: str) -> ScriptedDevice:
+    async def connect(self, infos: list[DeviceEndpoint], address: str) -> ScriptedDevice:
         device = ScriptedDevice(self.hub, infos, address=address)
         self.devices.append(device)
         await asyncio.sleep(0.5)
@@ -119,8 +119,8 @@ async def test_another_devices_type_of_a_robots_own_topic_ends_when_the_robot_co
 @inside(play_crowd)
 async def test_another_robots_odometry_of_that_name_is_read_on(made: Crowd) -> None:
     uncommon = [
-        topic(Id.PUBLISHER, ODOMETRY_ID, VELOCITY, "geometry_msgs/Pose2D"),
-        topic(Id.SUBSCRIBER, VELOCITY_ID, "/other/cmd_vel", TWIST_TYPE),
+        topic(EndpointKind.PUBLISHER, ODOMETRY_ID, VELOCITY, "geometry_msgs/Pose2D"),
+        topic(EndpointKind.SUBSCRIBER, VELOCITY_ID, "/other/cmd_vel", TWIST_TYPE),
     ]
     other = await made.connect(uncommon, "10.0.0.4")
     device = await made.connect(robot_topics(NAME), "10.0.0.3")
@@ -140,8 +140,8 @@ async def test_a_robot_does_not_take_another_robots_velocity_for_its_odometry(ma
     device = await made.connect(robot_topics(NAME), "10.0.0.3")
     for velocity in ("/other/cmd_vel", f"/{NAME}/cmd_vel"):
         uncommon = [
-            topic(Id.SUBSCRIBER, VELOCITY_ID, velocity, TWIST_TYPE),
-            topic(Id.PUBLISHER, ODOMETRY_ID, VELOCITY, "geometry_msgs/Pose2D"),
+            topic(EndpointKind.SUBSCRIBER, VELOCITY_ID, velocity, TWIST_TYPE),
+            topic(EndpointKind.PUBLISHER, ODOMETRY_ID, VELOCITY, "geometry_msgs/Pose2D"),
         ]
         await made.connect(uncommon, "10.0.0.4")
         await robot_works(made, device)
@@ -149,7 +149,7 @@ async def test_a_robot_does_not_take_another_robots_velocity_for_its_odometry(ma
 
 @inside(play_crowd)
 async def test_its_own_other_topics_do_not_keep_its_velocity(made: Crowd) -> None:
-    both = [topic(Id.PUBLISHER, OTHER_ID, VELOCITY, "std_msgs/String"), *robot_topics(NAME)]
+    both = [topic(EndpointKind.PUBLISHER, OTHER_ID, VELOCITY, "std_msgs/String"), *robot_topics(NAME)]
     await robot_works(made, await made.connect(both, "10.0.0.3"))
 
 
@@ -166,7 +166,7 @@ async def test_a_participants_type_of_that_name_is_refused_as_before(made: Crowd
 @inside(play_crowd)
 async def test_robots_that_come_and_go_beside_one_that_claims_all_their_names_can_be_driven(made: Crowd) -> None:
     claims = [
-        topic(Id.PUBLISHER, 130 + number, f"/robot_{number}/velocity_commands", "std_msgs/Bool")
+        topic(EndpointKind.PUBLISHER, 130 + number, f"/robot_{number}/velocity_commands", "std_msgs/Bool")
         for number in range(2, 12)
     ]
     await made.connect(claims, "10.0.0.4")
@@ -183,13 +183,13 @@ async def test_robots_that_come_and_go_beside_one_that_claims_all_their_names_ca
 async def test_the_gate_of_another_devices_velocity_publishes_nothing_on_a_robots_odometry(made: Crowd) -> None:
     name = f"/{NAME}/vel_odom"
     velocities = [
-        topic(Id.SUBSCRIBER, VELOCITY_ID, "/other/cmd_vel", TWIST_TYPE),
-        topic(Id.SUBSCRIBER, OTHER_ID, name, TWIST_TYPE),
+        topic(EndpointKind.SUBSCRIBER, VELOCITY_ID, "/other/cmd_vel", TWIST_TYPE),
+        topic(EndpointKind.SUBSCRIBER, OTHER_ID, name, TWIST_TYPE),
     ]
     other = await made.connect(velocities, "10.0.0.4")
     own = [
-        topic(Id.PUBLISHER, ODOMETRY_ID, name, "geometry_msgs/Pose2D"),
-        topic(Id.SUBSCRIBER, VELOCITY_ID, VELOCITY, TWIST_TYPE),
+        topic(EndpointKind.PUBLISHER, ODOMETRY_ID, name, "geometry_msgs/Pose2D"),
+        topic(EndpointKind.SUBSCRIBER, VELOCITY_ID, VELOCITY, TWIST_TYPE),
     ]
     heard: list[bytes] = []
     subscribe(made.hub, name, lambda message: heard.append(message.payload))
@@ -205,7 +205,7 @@ async def test_the_gate_of_another_devices_velocity_publishes_nothing_on_a_robot
 
 @inside(play_crowd)
 async def test_another_robot_that_is_driven_while_it_loses_a_name_drives_on(made: Crowd) -> None:
-    infos = [*robot_topics("other"), topic(Id.PUBLISHER, OTHER_ID, VELOCITY, "std_msgs/String")]
+    infos = [*robot_topics("other"), topic(EndpointKind.PUBLISHER, OTHER_ID, VELOCITY, "std_msgs/String")]
     other = await made.connect(infos, "10.0.0.4")
     driver, robot = made.hub.join("driver"), made.hub.robots.find("other")
     driver.drive(robot, PlanarVelocity(0.3))

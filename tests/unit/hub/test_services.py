@@ -9,7 +9,7 @@ import pytest
 from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.node import Node
 from hostlink.hub.services import MAX_WAITING, DeviceService, Provider, Services
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from tests.support.fake_device import CATALOG, service_server, topic
 from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.virtual_loop import run_virtual
@@ -270,7 +270,7 @@ def test_answer_to_a_call_from_before_other_topics_is_not_that_of_the_next_call(
         loop = asyncio.get_running_loop()
         before = loop.create_task(made.hub.services.call("/set_led", {"data": True}))
         await asyncio.sleep(0.05)
-        device.infos.append(topic(Id.PUBLISHER, 126, "/battery", "std_msgs/Float32"))
+        device.infos.append(topic(EndpointKind.PUBLISHER, 126, "/battery", "std_msgs/Float32"))
         await device.announce()
         with pytest.raises(DeviceGone):
             await before

@@ -7,8 +7,8 @@ import pytest
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.reloader import places_of
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import ZEROS
@@ -18,11 +18,11 @@ from tests.support.participants import ROBOT
 from tests.support.scripted_device import ScriptedDevice
 
 COMMAND, STOP, ANSWER = 100, 101, 125  # ids of the board's endpoints
-VELOCITY = topic(Id.SUBSCRIBER, COMMAND, f"/{ROBOT}/cmd_vel", "geometry_msgs/Twist")
+VELOCITY = topic(EndpointKind.SUBSCRIBER, COMMAND, f"/{ROBOT}/cmd_vel", "geometry_msgs/Twist")
 CONFIG = Config(robots={ROBOT: RobotConfig(stop_service="stop")})
 
 
-def board(type_name: str = "std_srvs/Empty", name: str = "stop") -> list[TopicInfo]:
+def board(type_name: str = "std_srvs/Empty", name: str = "stop") -> list[DeviceEndpoint]:
     return [VELOCITY, *service_server(name, type_name, ANSWER, STOP)]
 
 
@@ -74,7 +74,7 @@ def test_answer_of_the_service_is_not_counted_as_late() -> None:
 
 
 @pytest.mark.parametrize("infos", [[VELOCITY], board(name="halt"), board("std_srvs/SetBool")])
-def test_robot_whose_board_lacks_the_service_is_not_driven(infos: list[TopicInfo]) -> None:
+def test_robot_whose_board_lacks_the_service_is_not_driven(infos: list[DeviceEndpoint]) -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect(infos)
         await asyncio.sleep(LEASE_S)

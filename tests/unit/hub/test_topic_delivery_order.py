@@ -10,7 +10,7 @@ from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.participant import Participant
 from hostlink.hub.topic import MAX_WAITING, Subscriber
 from hostlink.hub.topic_graph import TopicGraph
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, topic
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, TEXT_TYPE, VELOCITY_ID, Scene, play, text
@@ -83,9 +83,9 @@ async def test_an_older_velocity_does_not_overtake_the_one_that_it_caused(made: 
     """Two robots with one velocity topic: the second must not be left with the older command."""
     devices = []
     for name, address in (("a", "10.0.0.3"), ("b", "10.0.0.4")):
-        odometry = topic(Id.PUBLISHER, ODOMETRY_ID, f"/{name}/odometry", "geometry_msgs/Pose2D")
-        own = topic(Id.SUBSCRIBER, VELOCITY_ID + 1, f"/{name}/velocity_commands", "geometry_msgs/Twist")
-        shared = topic(Id.SUBSCRIBER, VELOCITY_ID, "/cmd_vel", "geometry_msgs/Twist")
+        odometry = topic(EndpointKind.PUBLISHER, ODOMETRY_ID, f"/{name}/odometry", "geometry_msgs/Pose2D")
+        own = topic(EndpointKind.SUBSCRIBER, VELOCITY_ID + 1, f"/{name}/velocity_commands", "geometry_msgs/Twist")
+        shared = topic(EndpointKind.SUBSCRIBER, VELOCITY_ID, "/cmd_vel", "geometry_msgs/Twist")
         devices.append(ScriptedDevice(made.hub, [odometry, own, shared], address=address))
         await asyncio.sleep(0.5)
     careful, sender = made.hub.join("careful", priority=60), made.hub.join("sender")

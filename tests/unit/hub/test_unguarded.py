@@ -9,8 +9,7 @@ import pytest
 from hostlink.config import Config, RobotConfig, WheelsConfig
 from hostlink.errors import CommandRefused, FrameTooLarge, RefusalKind
 from hostlink.hub.robot import LocalRobot
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.robot.velocity import TWIST_TYPE
 from tests.support.fake_device import robot_topics, topic
 from tests.support.memory_hub import SETTLED_S, MemoryHub, in_hub
@@ -20,9 +19,9 @@ LEFT, TWIST = 110, 111  # ids of the board's topics
 NUMBER, ZERO = struct.pack("<h", 50), bytes(2)
 
 
-def board(name: str = "/left_motor", type_name: str = "std_msgs/Int16") -> list[TopicInfo]:
+def board(name: str = "/left_motor", type_name: str = "std_msgs/Int16") -> list[DeviceEndpoint]:
     """Topics of a board whose motor takes numbers, which no rule makes a robot."""
-    return [topic(Id.SUBSCRIBER, LEFT, name, type_name)]
+    return [topic(EndpointKind.SUBSCRIBER, LEFT, name, type_name)]
 
 
 async def send(made: MemoryHub, name: str, type_name: str, payload: bytes) -> None:
@@ -118,7 +117,7 @@ def test_zero_of_a_robot_that_does_not_fit_keeps_no_zero_from_the_rest_of_its_bo
     stop: Callable[[LocalRobot], None],
 ) -> None:
     async def test(made: MemoryHub) -> None:
-        velocity = topic(Id.SUBSCRIBER, TWIST, "/robot_0/cmd_vel", TWIST_TYPE, buffer_bytes=16)
+        velocity = topic(EndpointKind.SUBSCRIBER, TWIST, "/robot_0/cmd_vel", TWIST_TYPE, buffer_bytes=16)
         device = await made.connect([velocity, *board()])
         await send(made, "/left_motor", "std_msgs/Int16", NUMBER)
         with pytest.raises(FrameTooLarge):
@@ -131,8 +130,8 @@ def test_zero_of_a_robot_that_does_not_fit_keeps_no_zero_from_the_rest_of_its_bo
 
 def test_lock_of_a_robot_refuses_what_else_its_board_takes() -> None:
     async def test(made: MemoryHub) -> None:
-        gripper = topic(Id.SUBSCRIBER, TWIST, "/gripper_angle", "std_msgs/Int16")
-        lamp = topic(Id.SUBSCRIBER, TWIST + 1, "/lamp", "std_msgs/Int16")
+        gripper = topic(EndpointKind.SUBSCRIBER, TWIST, "/gripper_angle", "std_msgs/Int16")
+        lamp = topic(EndpointKind.SUBSCRIBER, TWIST + 1, "/lamp", "std_msgs/Int16")
         device = await made.connect([*robot_topics(), *board(), gripper, lamp])
         made.robot().lock("a foot")
         for name in ("/left_motor", "/gripper_angle"):
@@ -165,7 +164,7 @@ def test_lock_of_all_covers_six_numbers_of_a_device_that_is_not_a_robot() -> Non
     config = Config(robots={"drone": RobotConfig(command_topic="/thrusters", kinematics="spatial")})
 
     async def test(made: MemoryHub) -> None:
-        device = await made.connect([topic(Id.SUBSCRIBER, TWIST, "/thrusters", "geometry_msgs/Twist")])
+        device = await made.connect([topic(EndpointKind.SUBSCRIBER, TWIST, "/thrusters", "geometry_msgs/Twist")])
         climb = struct.pack("<6d", 0, 0, 0.5, 0, 0, 0)
         await send(made, "/thrusters", "geometry_msgs/Twist", climb)
         assert device.payloads(TWIST)[-1] == climb
@@ -177,7 +176,7 @@ def test_lock_of_all_covers_six_numbers_of_a_device_that_is_not_a_robot() -> Non
             publish(made.hub, "/thrusters", climb, type_name="geometry_msgs/Twist")
         await device.aclose()
         await asyncio.sleep(SETTLED_S)
-        await made.connect([topic(Id.SUBSCRIBER, TWIST, "/thrusters", "geometry_msgs/Twist")])
+        await made.connect([topic(EndpointKind.SUBSCRIBER, TWIST, "/thrusters", "geometry_msgs/Twist")])
         with pytest.raises(CommandRefused, match="locked: a foot"):
             publish(made.hub, "/thrusters", climb, type_name="geometry_msgs/Twist")
 

@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.link.capture_buffer import ALL_BYTES, CAPTURE_BYTES, LEAST_BYTES, CaptureBuffer, CaptureRoom, captured
-from hostlink.protocol.frame import encode
+from hostlink.protocol.rosserial.frame import encode
+from hostlink.protocol.rosserial.session import Session
 
 
 def contents(buffer: CaptureBuffer, since: int = 0) -> bytes:
@@ -79,7 +80,11 @@ def both(data: bytes, size: int) -> tuple[CaptureBuffer, CaptureBuffer]:
 @given(st.integers(1, 2000), st.integers(0, 900))
 def test_capture_with_lost_bytes_starts_with_a_whole_frame(size: int, payload_bytes: int) -> None:
     frame = encode(125, bytes(payload_bytes))
-    found = captured(*both(frame * (3 * CAPTURE_BYTES // len(frame)), size), since=(0, 0))
+    found = captured(
+        *both(frame * (3 * CAPTURE_BYTES // len(frame)), size),
+        since=(0, 0),
+        rest_of_frame_bytes=Session(check=lambda _: None).rest_of_frame_bytes,
+    )
     kept = b"".join(piece.data for piece in found.pieces)
     assert found.lost[0] > 0
     assert kept == frame * (len(kept) // len(frame))
@@ -87,11 +92,19 @@ def test_capture_with_lost_bytes_starts_with_a_whole_frame(size: int, payload_by
 
 
 def test_bytes_without_frames_are_kept() -> None:
-    found = captured(*both(b"speed 1\r\n" * CAPTURE_BYTES, 512), since=(0, 0))
+    found = captured(
+        *both(b"speed 1\r\n" * CAPTURE_BYTES, 512),
+        since=(0, 0),
+        rest_of_frame_bytes=Session(check=lambda _: None).rest_of_frame_bytes,
+    )
     assert sum(len(piece.data) for piece in found.pieces) >= CAPTURE_BYTES
 
 
 def test_capture_with_its_beginning_has_every_byte() -> None:
-    found = captured(*both(b"boot\n" + encode(125, b"1"), 3), since=(0, 0))
+    found = captured(
+        *both(b"boot\n" + encode(125, b"1"), 3),
+        since=(0, 0),
+        rest_of_frame_bytes=Session(check=lambda _: None).rest_of_frame_bytes,
+    )
     assert b"".join(piece.data for piece in found.pieces) == b"boot\n" + encode(125, b"1")
     assert found.lost_bytes == 0

@@ -5,8 +5,8 @@ import asyncio
 from hostlink.config import LinkConfig
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
-from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST
+from hostlink.protocol.rosserial.session import Session
 from tests.support.memory_transport import memory_pair
 from tests.support.session_host import check
 from tests.support.virtual_loop import virtual

@@ -5,7 +5,7 @@ import asyncio
 from hostlink.config import LinkConfig
 from hostlink.link.link import Link
 from hostlink.link.serving import LAST_FRAME_TIMEOUT_S, LinkEnd
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.session import Session
 from tests.support.memory_transport import memory_pair
 from tests.support.session_host import check
 from tests.support.virtual_loop import virtual

@@ -6,8 +6,8 @@ from hostlink.config import LinkConfig
 from hostlink.link.fair_share import MAX_DEFERRALS, TURN_S, FairShare
 from hostlink.link.link import Link
 from hostlink.protocol.events import Event
-from hostlink.protocol.frame import encode
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.frame import encode
+from hostlink.protocol.rosserial.session import Session
 from tests.support.memory_transport import memory_pair
 from tests.support.virtual_loop import VirtualLoop, run_virtual, virtual
 

@@ -9,15 +9,13 @@ from hostlink.link.link import (
     LARGE_PIECE_S,
     LEAST_BYTES,
     MOST_BYTES,
-    MOST_FRAMES,
     PIECE_S,
     Link,
     PieceSize,
-    is_crowded,
 )
 from hostlink.protocol.events import Event
-from hostlink.protocol.frame import encode
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.frame import encode
+from hostlink.protocol.rosserial.session import MOST_FRAMES, Session
 from tests.support.memory_transport import memory_pair
 from tests.support.virtual_loop import VirtualLoop, virtual
 
@@ -39,12 +37,6 @@ def test_expensive_pieces_become_small_and_cheap_ones_large_again() -> None:
     assert piece.size_bytes == MOST_BYTES
     piece.update(2 * LARGE_PIECE_S)
     assert piece.size_bytes == MOST_BYTES // 2
-
-
-def test_many_short_frames_after_long_ones_are_read_in_parts() -> None:
-    assert not is_crowded(FRAME * MOST_FRAMES)
-    assert is_crowded(FRAME * (MOST_FRAMES + 1))
-    assert not is_crowded(encode(125, b"\xff" * 4000))
 
 
 @virtual

@@ -9,7 +9,7 @@ from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
 from hostlink.protocol.events import Event
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.session import Session
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.session_host import LED, ODOMETRY, TIME, check, wire
 from tests.support.virtual_loop import VirtualLoop, run_virtual, virtual

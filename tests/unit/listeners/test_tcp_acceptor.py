@@ -9,8 +9,8 @@ from hostlink.hub.hub import Hub
 from hostlink.listeners.accepting import PAUSE_S, TcpAcceptor
 from hostlink.log_budget import LOG_INTERVAL_S
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.rosserial.control import encode_topic_info
+from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.fake_device import robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.virtual_loop import run_virtual

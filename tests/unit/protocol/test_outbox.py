@@ -5,10 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.errors import DeviceBusy
-from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, encode
-from hostlink.protocol.outbox import CONTROL_BYTES, LOOP_S, MAX_REPLIES, RING_BYTES, VELOCITY_BYTES, Outbox
+from hostlink.protocol.outbox import LOOP_S, MAX_REPLIES, RING_BYTES, VELOCITY_BYTES, Outbox
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, encode
+from hostlink.protocol.rosserial.session import CONTROL_FRAMES
 
 TIME = encode(10, bytes.fromhex("01000000 02000000"))
+CONTROL_BYTES = len(TIME) + len(TOPICS_REQUEST)  # the most that is sent ahead of a velocity
 WALL_NS = 1_000_000_002
 
 
@@ -20,7 +22,7 @@ def drain(outbox: Outbox) -> list[bytes]:
 
 
 def test_queued_frames_leave_in_order_of_priority() -> None:
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     outbox.put_command(100, b"command")
     outbox.put_reply("p", b"reply 1")
     outbox.put_reply("p", b"reply 2")
@@ -32,7 +34,7 @@ def test_queued_frames_leave_in_order_of_priority() -> None:
 
 
 def test_a_queued_velocity_is_told_from_other_frames() -> None:
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     outbox.put_command(100, b"command")
     outbox.put_time()
     assert not outbox.has_urgent
@@ -43,7 +45,7 @@ def test_a_queued_velocity_is_told_from_other_frames() -> None:
 
 
 def test_queued_command_is_replaced_by_a_newer_one_of_its_topic() -> None:
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     for text in (b"old", b"new"):
         outbox.put_urgent(101, text + b" velocity")
         outbox.put_command(100, text + b" command")
@@ -52,7 +54,7 @@ def test_queued_command_is_replaced_by_a_newer_one_of_its_topic() -> None:
 
 
 def test_first_zero_of_a_session_is_not_replaced_by_newer_velocities() -> None:
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     outbox.put_urgent(101, b"zero", is_kept=True)
     for number in range(3):
         outbox.put_urgent(101, b"velocity %d" % number)
@@ -67,7 +69,7 @@ def test_first_zero_of_a_session_is_not_replaced_by_newer_velocities() -> None:
 
 
 def test_topic_with_depth_keeps_its_newest_in_order_and_topics_alternate() -> None:
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     for number in range(4):
         outbox.put_command(100, b"a%d" % number, depth=2)
     outbox.put_command(101, b"b")
@@ -76,7 +78,7 @@ def test_topic_with_depth_keeps_its_newest_in_order_and_topics_alternate() -> No
 
 
 def test_replies_above_the_bound_are_refused_and_queued_ones_kept() -> None:
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     for number in range(MAX_REPLIES):
         outbox.put_reply("p", b"%d" % number)
     with pytest.raises(DeviceBusy, match="p: 32 requests wait already"):
@@ -85,7 +87,7 @@ def test_replies_above_the_bound_are_refused_and_queued_ones_kept() -> None:
 
 
 def test_stop_sends_the_queued_velocity_and_nothing_else() -> None:
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     outbox.put_time()
     outbox.put_command(100, b"command")
     outbox.put_reply("p", b"reply")
@@ -96,7 +98,7 @@ def test_stop_sends_the_queued_velocity_and_nothing_else() -> None:
 
 def test_velocity_after_the_stop_is_ignored() -> None:
     """A velocity after the stop must not replace the queued zero."""
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     outbox.put_urgent(101, b"zero")
     outbox.put_stop()
     outbox.put_urgent(101, b"full speed")
@@ -104,7 +106,7 @@ def test_velocity_after_the_stop_is_ignored() -> None:
 
 
 def test_stop_is_the_last_frame_when_others_are_queued_after_it() -> None:
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     outbox.put_stop()
     assert drain(outbox) == [STOP_REQUEST]
     outbox.put_time()
@@ -116,12 +118,12 @@ def test_stop_is_the_last_frame_when_others_are_queued_after_it() -> None:
     assert outbox.wait_s(0.0) is None
 
 
-def test_drop_messages_keeps_parameter_answers() -> None:
-    outbox = Outbox()
+def test_drop_messages_keeps_lasting_replies() -> None:
+    outbox = Outbox(CONTROL_FRAMES)
     outbox.put_urgent(101, encode(101, b"velocity"))
     outbox.put_command(100, encode(100, b"command"))
     outbox.put_reply("service", encode(102, b"call"))
-    outbox.put_reply("p", encode(6, b"parameter"))
+    outbox.put_reply("p", encode(6, b"parameter"), is_lasting=True)
     outbox.drop_messages()
     assert drain(outbox) == [encode(6, b"parameter")]
 
@@ -133,7 +135,7 @@ def test_drop_messages_keeps_parameter_answers() -> None:
 def test_paced_frames_exceed_the_uart_speed_by_one_ring_at_most(
     puts: list[tuple[float, int]], uart_bytes_s: int
 ) -> None:
-    outbox = Outbox(uart_bytes_s=uart_bytes_s)
+    outbox = Outbox(CONTROL_FRAMES, uart_bytes_s=uart_bytes_s)
     now_s, sent_bytes = 0.0, 0
     for pause_s, size in puts:
         now_s += pause_s
@@ -146,7 +148,7 @@ def test_paced_frames_exceed_the_uart_speed_by_one_ring_at_most(
 
 
 def test_paced_frame_leaves_when_its_wait_is_over() -> None:
-    outbox = Outbox(uart_bytes_s=3840)
+    outbox = Outbox(CONTROL_FRAMES, uart_bytes_s=3840)
     for number in range(4):
         outbox.put_command(100 + number, bytes(40))
     assert [outbox.pop_frame(now_s=0.0, wall_ns=0) is None for _ in range(3)] == [False, False, True]
@@ -156,7 +158,7 @@ def test_paced_frame_leaves_when_its_wait_is_over() -> None:
 
 
 def test_paced_frame_leaves_less_than_a_byte_too_early() -> None:
-    outbox = Outbox(uart_bytes_s=11520)
+    outbox = Outbox(CONTROL_FRAMES, uart_bytes_s=11520)
     for number in range(3):
         outbox.put_command(100 + number, bytes(40))
     assert [outbox.pop_frame(now_s=0.0, wall_ns=0) is None for _ in range(3)] == [False, False, True]
@@ -168,7 +170,7 @@ def test_paced_frame_leaves_less_than_a_byte_too_early() -> None:
 @given(st.floats(0.0, 1e6), st.integers(100, 1_000_000), st.lists(st.integers(8, 520), min_size=1, max_size=40))
 def test_waiting_exactly_wait_s_yields_a_frame(now_s: float, uart_bytes_s: int, sizes: list[int]) -> None:
     """Virtual time is exact: a wait too short to move the clock would repeat for ever."""
-    outbox = Outbox(uart_bytes_s=uart_bytes_s)
+    outbox = Outbox(CONTROL_FRAMES, uart_bytes_s=uart_bytes_s)
     for number, size in enumerate(sizes):
         outbox.put_command(100 + number, bytes(size))
     popped, waits = 0, 0
@@ -192,7 +194,7 @@ class Line:
     """Outbox and a model of its UART, which records when each byte is sent."""
 
     def __init__(self, uart_bytes_s: int) -> None:
-        self.outbox = Outbox(uart_bytes_s=uart_bytes_s)
+        self.outbox = Outbox(CONTROL_FRAMES, uart_bytes_s=uart_bytes_s)
         self.byte_s = 1 / uart_bytes_s
         self.now_s = 0.0
         self.free_at_s = 0.0
@@ -303,7 +305,7 @@ def test_answer_to_a_blocked_device_does_not_wait() -> None:
 
 
 def test_uart_of_unknown_speed_is_never_busy() -> None:
-    outbox = Outbox()
+    outbox = Outbox(CONTROL_FRAMES)
     outbox.robot_moves = True
     outbox.put_command(100, bytes(10_000))
     outbox.put_command(101, bytes(10_000))
@@ -311,7 +313,7 @@ def test_uart_of_unknown_speed_is_never_busy() -> None:
 
 
 def test_oldest_age_ignores_replaced_frames() -> None:
-    outbox = Outbox(uart_bytes_s=960)
+    outbox = Outbox(CONTROL_FRAMES, uart_bytes_s=960)
     assert outbox.oldest_s(0.0) == 0.0
     outbox.put_command(100, bytes(100))
     outbox.put_command(101, bytes(100))
@@ -330,4 +332,4 @@ def test_while_the_robot_moves_a_frame_leaves_only_if_a_stop_behind_it_is_on_the
     uart_bytes_s: int | None, longest: float
 ) -> None:
     """The limit is one turn's bytes minus a stop, at most the receive ring and at least one velocity."""
-    assert Outbox(uart_bytes_s=uart_bytes_s).prompt_bytes == pytest.approx(longest)
+    assert Outbox(CONTROL_FRAMES, uart_bytes_s=uart_bytes_s).prompt_bytes == pytest.approx(longest)

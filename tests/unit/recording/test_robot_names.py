@@ -10,14 +10,14 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig
 from hostlink.hub.hub import Hub
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.recording.robot_names import DAMAGED, FILE, MAX_FILE_BYTES, NamesFile, folder_of, kept_names
 from hostlink.robot.names import Remembered
 from tests.support.fake_device import CATALOG, topic
 from tests.support.memory_hub import MemoryHub, RecordingGuard, running
 
 V = Remembered("robot_0", "10.0.0.7", True)
-UNNAMED = [topic(Id.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
+UNNAMED = [topic(EndpointKind.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
 
 
 def in_kept_hub(folder: Path, test: Callable[[MemoryHub], Coroutine[Any, Any, None]]) -> list[dict[str, Any]]:

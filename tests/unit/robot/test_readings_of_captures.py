@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hostlink.protocol.events import MessageReceived
-from hostlink.protocol.session import Session
+from hostlink.protocol.rosserial.session import Session
 from hostlink.robot.feedback import RECOGNISED, Feedback, FeedbackKind
 from hostlink.robot.kinematics import PLANAR
 from hostlink.robot.odometry import OdometryEstimator

@@ -2,14 +2,15 @@
 
 import pytest
 
-from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic_info
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.session import NonRosserialBytes
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.control import decode_topic_info, encode_topic_info
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.session import NonRosserialBytes
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.sim.robot import FAULTS, HEALTHY, FaultyLine
 
-POSE = TopicInfo(Id.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m" * 32, 512)
-TWIST = TopicInfo(Id.SUBSCRIBER, 100, "/velocity", "geometry_msgs/Twist", "m" * 32, 512)
+POSE = DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m" * 32, 512)
+TWIST = DeviceEndpoint(EndpointKind.SUBSCRIBER, 100, "/velocity", "geometry_msgs/Twist", "m" * 32, 512)
 TIME = encode(Id.TIME, bytes(8))
 MESSAGE = encode(125, bytes(24))
 ANNOUNCED = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in (POSE, TWIST)) + MESSAGE

@@ -6,9 +6,10 @@ import struct
 import pytest
 
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_time
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.control import decode_topic_info, encode_time
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.kinematic_robot import (
     ACKERMANN,
@@ -53,7 +54,7 @@ class Bench:
         return [frame.payload for frame in self.frames if frame.topic_id == topic_id]
 
     @property
-    def topics(self) -> dict[str, TopicInfo]:
+    def topics(self) -> dict[str, DeviceEndpoint]:
         infos = [
             decode_topic_info(Id(frame.topic_id), frame.payload)
             for frame in self.frames

@@ -2,8 +2,8 @@
 
 import pytest
 
-from hostlink.protocol.frame import MAX_PAYLOAD_BYTES
-from hostlink.protocol.topic_table import MAX_TOPICS
+from hostlink.protocol.rosserial.frame import MAX_PAYLOAD_BYTES
+from hostlink.protocol.rosserial.topic_table import MAX_TOPICS
 from hostlink.sim.played_device import PlayedDevice, PlayedTopic
 
 MD5 = "938fa65709584ad8e77d238529be13b8"

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld, RobotKind
 from hostlink.sim.robot import FAULTS, SimulatedRobot

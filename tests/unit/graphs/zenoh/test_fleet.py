@@ -34,7 +34,7 @@ from hostlink.graphs.zenoh.roster import SILENT_S, FleetRoster
 from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import AnyRobot, LocalRobot
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import EndpointKind
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.background import meanwhile
 from tests.support.fake_device import CATALOG, topic
@@ -657,8 +657,8 @@ NUMBER = b"\x32\x00"
 async def board_at_lab(world: World) -> AsyncIterator[ScriptedDevice]:
     """A board that no rule recognises, with a motor that runs and a topic without a zero; unlocked at the end."""
     infos = [
-        topic(Id.SUBSCRIBER, LEFT_MOTOR, "/left_motor", "std_msgs/Int16"),
-        topic(Id.SUBSCRIBER, SPEECH, "/motor_command", "std_msgs/String"),
+        topic(EndpointKind.SUBSCRIBER, LEFT_MOTOR, "/left_motor", "std_msgs/Int16"),
+        topic(EndpointKind.SUBSCRIBER, SPEECH, "/motor_command", "std_msgs/String"),
     ]
     device = ScriptedDevice(world.scene.hub, infos, address="10.0.0.9")
     await asyncio.sleep(0.5)

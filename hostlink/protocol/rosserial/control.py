@@ -9,7 +9,8 @@ from functools import partial
 from struct import Struct
 from typing import Any, NamedTuple, TypeVar
 
-from hostlink.protocol.frame import Id
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.events import LOG_LEVELS, Parameter
 
 _U32 = Struct("<I")
 _I32 = Struct("<i")
@@ -17,51 +18,8 @@ _TIME = Struct("<II")
 _TOPIC_ID = Struct("<H")
 _NS_PER_S = 1_000_000_000
 _MAX_NAME_BYTES = 255
-LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
-IS_TO_DEVICE = frozenset({Id.SUBSCRIBER, Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_SUBSCRIBER})
-_TO_DEVICE = 0x10000  # above every id, which has 16 bits
 
 Item = TypeVar("Item")
-
-
-def to_device_key(topic_id: int) -> int:
-    """Return the `TopicInfo.key` of an id in frames to the device: no id in frames from it."""
-    return topic_id | _TO_DEVICE
-
-
-class TopicInfo(NamedTuple):
-    """One endpoint as a device announces it; `kind` is one of the ids 0 to 5."""
-
-    kind: Id
-    topic_id: int
-    name: str
-    type: str
-    md5: str
-    buffer_bytes: int  # the device's whole buffer for this direction: frame and overhead must fit
-
-    @property
-    def is_to_device(self) -> bool:
-        """Whether frames with this id go from the host to the device."""
-        return self.kind in IS_TO_DEVICE
-
-    @property
-    def key(self) -> int:
-        """Id and direction as one number. From the device it is the id of a frame, to the device it is `to_device_key`.
-
-        A device numbers each direction by itself: one id may be a publisher's and a subscriber's.
-        """
-        return to_device_key(self.topic_id) if self.kind in IS_TO_DEVICE else self.topic_id
-
-
-class Parameter(NamedTuple):
-    """Answer to a parameter request.
-
-    One of the three fields is filled; all are empty when the parameter does not exist.
-    """
-
-    ints: tuple[int, ...] = ()
-    floats: tuple[float, ...] = ()
-    strings: tuple[str, ...] = ()
 
 
 class Log(NamedTuple):
@@ -71,23 +29,23 @@ class Log(NamedTuple):
     text: str
 
 
-def encode_topic_info(info: TopicInfo) -> bytes:
+def encode_topic_info(info: DeviceEndpoint) -> bytes:
     """Encode the payload of a TopicInfo frame."""
     strings = b"".join(_encode_string(text) for text in (info.name, info.type, info.md5))
-    return _TOPIC_ID.pack(info.topic_id) + strings + _I32.pack(info.buffer_bytes)
+    return _TOPIC_ID.pack(info.id) + strings + _I32.pack(info.buffer_bytes)
 
 
-def decode_topic_info(kind: Id, payload: bytes) -> TopicInfo | None:
+def decode_topic_info(kind: EndpointKind, payload: bytes) -> DeviceEndpoint | None:
     """Decode a TopicInfo; None if it is malformed or if a name, type or md5 is empty, too long or unprintable."""
     return _decode(payload, partial(_read_topic_info, kind))
 
 
-def _read_topic_info(kind: Id, reader: "_PayloadReader") -> TopicInfo:
+def _read_topic_info(kind: EndpointKind, reader: "_PayloadReader") -> DeviceEndpoint:
     (topic_id,) = reader.unpack(_TOPIC_ID)
     name, type_name, md5 = (_word(reader.string()) for _ in range(3))
     (buffer_bytes,) = reader.unpack(_I32)
     # A thousand robots keep the same few types once.
-    return TopicInfo(kind, topic_id, name, sys.intern(type_name), sys.intern(md5), buffer_bytes)
+    return DeviceEndpoint(kind, topic_id, name, sys.intern(type_name), sys.intern(md5), buffer_bytes)
 
 
 def decode_parameter_request(payload: bytes) -> str | None:

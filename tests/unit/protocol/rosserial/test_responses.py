@@ -4,18 +4,17 @@ import pytest
 
 from hostlink.errors import DeviceBusy, FrameTooLarge, UnknownTopic
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import OVERHEAD_BYTES, Frame, Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.protocol.outbox import MAX_REPLIES
-from hostlink.protocol.session import response_bytes
+from hostlink.protocol.rosserial.frame import OVERHEAD_BYTES, Frame, encode
 from tests.support.session_host import LED, Host
 
-REQUESTS = TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 125, "/ask", "my_srvs/Mine", "m", 512)
-RESPONSES = TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 100, "/ask", "my_srvs/Mine", "m", 64)
+REQUESTS = DeviceEndpoint(EndpointKind.SERVICE_CLIENT_PUBLISHER, 125, "/ask", "my_srvs/Mine", "m", 512)
+RESPONSES = DeviceEndpoint(EndpointKind.SERVICE_CLIENT_SUBSCRIBER, 100, "/ask", "my_srvs/Mine", "m", 64)
 
 
-def second(info: TopicInfo) -> TopicInfo:
-    return info._replace(topic_id=info.topic_id + 1)
+def second(info: DeviceEndpoint) -> DeviceEndpoint:
+    return info._replace(id=info.id + 1)
 
 
 def test_several_clients_of_one_service_are_distinguished_by_their_order() -> None:
@@ -26,7 +25,7 @@ def test_several_clients_of_one_service_are_distinguished_by_their_order() -> No
 
 def test_request_without_response_endpoint_raises_unknown_topic() -> None:
     host = Host(REQUESTS, second(REQUESTS), RESPONSES)
-    for request in (second(REQUESTS), REQUESTS._replace(topic_id=130), REQUESTS._replace(name="/other")):
+    for request in (second(REQUESTS), REQUESTS._replace(id=130), REQUESTS._replace(name="/other")):
         with pytest.raises(UnknownTopic, match=f"no endpoint for responses named {request.name}"):
             host.session.response_endpoint(request)
 
@@ -38,7 +37,7 @@ def test_response_with_unknown_layout_fills_the_buffer_with_zeros(buffer_bytes: 
     host = Host(REQUESTS, response)
     host.session.respond(response, None)
     assert host.sent() == [Frame(100, bytes(room_bytes))]
-    assert response_bytes(response) >= room_bytes
+    assert host.session.room_bytes(response) >= room_bytes
 
 
 def test_response_with_fixed_size_has_that_many_zeros() -> None:

@@ -3,15 +3,15 @@
 import pytest
 
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id, encode
-from hostlink.protocol.stream import Rejection
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.protocol.rosserial.stream import Rejection
 from tests.support.session_host import LED, ODOMETRY, TIME, Host, wire
 
 RING_BYTES = 63  # what the UART of an Uno takes at once
 INFOS = [
     ODOMETRY,
-    TopicInfo(Id.PUBLISHER, 126, "/some_longer_name/battery_state", "std_msgs/Float32", "m" * 32, 512),
+    DeviceEndpoint(EndpointKind.PUBLISHER, 126, "/some_longer_name/battery_state", "std_msgs/Float32", "m" * 32, 512),
     LED,
 ]
 

@@ -1,18 +1,18 @@
 """TopicTable: lookup by id and name, and the bound on topics."""
 
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id
-from hostlink.protocol.session import Session
-from hostlink.protocol.topic_table import MAX_MISSED, MAX_TOPICS, TopicTable
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.rosserial.frame import Id
+from hostlink.protocol.rosserial.session import Session
+from hostlink.protocol.rosserial.topic_table import MAX_MISSED, MAX_TOPICS, TopicTable
 from tests.support.session_host import LED, ODOMETRY, TIME, Host, check, wire
 
 
-def info(topic_id: int, name: str, kind: Id = Id.PUBLISHER) -> TopicInfo:
-    return TopicInfo(kind, topic_id, name, "std_msgs/Bool", "m", 64)
+def info(topic_id: int, name: str, kind: Id = Id.PUBLISHER) -> DeviceEndpoint:
+    return DeviceEndpoint(kind, topic_id, name, "std_msgs/Bool", "m", 64)
 
 
-def table(*infos: TopicInfo) -> TopicTable:
+def table(*infos: DeviceEndpoint) -> TopicTable:
     made = TopicTable()
     made.begin()
     for each in infos:
@@ -81,7 +81,7 @@ def test_kept_topics_do_not_exceed_the_bound() -> None:
         first = 125 + number * MAX_TOPICS
         infos = (info(topic_id, f"/t{topic_id}") for topic_id in range(first, first + MAX_TOPICS))
         host.receive(TIME + wire(*infos) + TIME, after_s=1.0)
-        assert [each.topic_id for each in host.session.topics] == list(range(first, first + MAX_TOPICS))
+        assert [each.id for each in host.session.topics] == list(range(first, first + MAX_TOPICS))
 
 
 def test_bound_is_a_setting() -> None:

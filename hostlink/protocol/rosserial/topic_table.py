@@ -3,8 +3,8 @@
 from collections import Counter
 from collections.abc import Container
 
-from hostlink.protocol.control import IS_TO_DEVICE, TopicInfo
-from hostlink.protocol.frame import FIRST_TOPIC_ID, Id
+from hostlink.protocol.endpoint import IS_TO_DEVICE, DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID
 
 MAX_MISSED = 3  # negotiations: two more topic requests
 MAX_TOPICS = 256  # ten times what rosserial's own library allows by default
@@ -29,13 +29,13 @@ class TopicTable:
     )  # fmt: skip
 
     def __init__(self, max_topics: int = MAX_TOPICS) -> None:
-        self.by_key: dict[int, TopicInfo] = {}  # announced so far, and those of the negotiation before
+        self.by_key: dict[int, DeviceEndpoint] = {}  # announced so far, and those of the negotiation before
         self.fixed_bytes: dict[int, int] = {}
         self.max_topics = max_topics
         self.excess = 0
-        self.by_name: dict[tuple[str, int], TopicInfo] = {}  # the same endpoints, by name and kind
-        self._announced: dict[int, TopicInfo] = {}  # by the current negotiation
-        self._complete: dict[int, TopicInfo] = {}  # result of the negotiation before it
+        self.by_name: dict[tuple[str, int], DeviceEndpoint] = {}  # the same endpoints, by name and kind
+        self._announced: dict[int, DeviceEndpoint] = {}  # by the current negotiation
+        self._complete: dict[int, DeviceEndpoint] = {}  # result of the negotiation before it
         self._redefined: dict[int, None] = {}  # keys to which the current negotiation gave another meaning
         self._missed: Counter[int] = Counter()  # negotiations in a row that lacked the key
         self._missed_before = self._missed  # without the current negotiation, which may be finished in several parts
@@ -60,7 +60,7 @@ class TopicTable:
         """Whether the current negotiation gave a key another meaning than the one before: a new program, or damage."""
         return any(self._complete.get(key, info) != info for key, info in self._announced.items())
 
-    def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
+    def add(self, info: DeviceEndpoint, fixed_bytes: int | None) -> None:
         """Add one TopicInfo of the current negotiation. Call it only if there `is_room`."""
         key = info.key
         before = self.by_key.get(key)
@@ -103,21 +103,21 @@ class TopicTable:
         """Keys that the last negotiation lacked and that are kept for now."""
         return tuple(each for each, count in self._missed.items() if count < MAX_MISSED)
 
-    def response_to(self, request: TopicInfo) -> TopicInfo | None:
+    def response_to(self, request: DeviceEndpoint) -> DeviceEndpoint | None:
         """Return the endpoint that receives the responses to requests of this endpoint.
 
         A device may have several clients of one service. It numbers their request and response endpoints in the same
         order.
         """
         mine = [info for info in self.all() if info.name == request.name]
-        requests = [info.topic_id for info in mine if info.kind is Id.SERVICE_CLIENT_PUBLISHER]
-        responses = [info for info in mine if info.kind is Id.SERVICE_CLIENT_SUBSCRIBER]
-        place = requests.index(request.topic_id) if request.topic_id in requests else len(responses)
+        requests = [info.id for info in mine if info.kind is EndpointKind.SERVICE_CLIENT_PUBLISHER]
+        responses = [info for info in mine if info.kind is EndpointKind.SERVICE_CLIENT_SUBSCRIBER]
+        place = requests.index(request.id) if request.id in requests else len(responses)
         return responses[place] if place < len(responses) else None
 
-    def all(self) -> tuple[TopicInfo, ...]:
+    def all(self) -> tuple[DeviceEndpoint, ...]:
         """Return every endpoint, ordered by id."""
-        return tuple(sorted(self.by_key.values(), key=lambda info: (info.topic_id, not info.is_to_device)))
+        return tuple(sorted(self.by_key.values(), key=lambda info: (info.id, not info.is_to_device)))
 
     def gap(self) -> int | None:
         """Return the lowest missing id, which means that a TopicInfo was lost; None if no id is missing.
@@ -125,8 +125,8 @@ class TopicTable:
         A device numbers what it receives from 100, and what it sends from a higher number that depends on its build,
         both without gaps. A loss of the first endpoint that it sends on cannot be noticed here.
         """
-        to_device = [info.topic_id for info in self._announced.values() if info.kind in IS_TO_DEVICE]
-        from_device = [info.topic_id for info in self._announced.values() if info.kind not in IS_TO_DEVICE]
+        to_device = [info.id for info in self._announced.values() if info.kind in IS_TO_DEVICE]
+        from_device = [info.id for info in self._announced.values() if info.kind not in IS_TO_DEVICE]
         missing = _missing(to_device, FIRST_TOPIC_ID)
         return missing if missing is not None else _missing(from_device, min(from_device, default=0))
 

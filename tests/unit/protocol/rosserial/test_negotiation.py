@@ -5,9 +5,9 @@ import itertools
 import pytest
 
 from hostlink.protocol import events
-from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.frame import Id, encode
-from hostlink.protocol.negotiation import (
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import encode
+from hostlink.protocol.rosserial.negotiation import (
     ANSWER_WAY_S,
     CONFIRM_S,
     LONGEST_CALL_S,
@@ -16,7 +16,7 @@ from hostlink.protocol.negotiation import (
     NegotiationStep,
     SessionState,
 )
-from hostlink.protocol.topic_table import MAX_MISSED
+from hostlink.protocol.rosserial.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 
 
@@ -184,31 +184,31 @@ def test_continued_announcement_does_not_confirm_itself() -> None:
     assert requests_while_it_publishes(host, CONFIRM_S + 0.2) == ["unconfirmed"]
 
 
-ASK = TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "my_srvs/Mine", "m", 512)
-ANSWER = TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 101, "/ask", "my_srvs/Mine", "m", 512)
+ASK = DeviceEndpoint(EndpointKind.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "my_srvs/Mine", "m", 512)
+ANSWER = DeviceEndpoint(EndpointKind.SERVICE_CLIENT_SUBSCRIBER, 101, "/ask", "my_srvs/Mine", "m", 512)
 
 
 def test_no_confirmation_is_requested_while_a_device_waits_for_a_service() -> None:
     """A request would end ros_lib's call. The response would then be written to freed stack memory."""
     host = Host(ODOMETRY, ASK, LED, ANSWER, is_lossy=True)
-    host.receive(encode(ASK.topic_id, b""), after_s=CONFIRM_S - 0.2)
+    host.receive(encode(ASK.id, b""), after_s=CONFIRM_S - 0.2)
     assert requests_while_it_publishes(host, 1.0) == []
     host.session.respond(ANSWER, b"1")
-    assert [frame.topic_id for frame in host.sent()][-1] == ANSWER.topic_id
+    assert [frame.topic_id for frame in host.sent()][-1] == ANSWER.id
     assert requests_while_it_publishes(host, ANSWER_WAY_S - 0.1) == []
     assert requests_while_it_publishes(host, 0.2) == ["unconfirmed"]
 
 
 def test_unanswered_call_delays_the_confirmation_by_its_deadline() -> None:
     host = Host(ODOMETRY, ASK, LED, ANSWER, is_lossy=True)
-    host.receive(encode(ASK.topic_id, b""), after_s=1.0)
+    host.receive(encode(ASK.id, b""), after_s=1.0)
     assert requests_while_it_publishes(host, LONGEST_CALL_S - 0.1) == []
     assert requests_while_it_publishes(host, 0.2) == ["unconfirmed"]
 
 
 def test_missing_topic_is_requested_despite_a_permanent_gap() -> None:
     """A device that does not number its topics from 100 has a permanent gap."""
-    far = TEXT._replace(topic_id=105)
+    far = TEXT._replace(id=105)
     host = Host(ODOMETRY, LED, far)
     for _ in range(5):
         host.receive(TIME + wire(ODOMETRY, LED, far) + TIME, after_s=1.1)

@@ -8,11 +8,13 @@ import pytest
 
 from hostlink.errors import FrameTooLarge, UnknownTopic, WrongType
 from hostlink.protocol import events
-from hostlink.protocol.control import Log, Parameter, TopicInfo
-from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
-from hostlink.protocol.negotiation import MAX_PARTS, MAX_SAME_REQUESTS
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.events import Parameter
 from hostlink.protocol.outbox import OutgoingFrame
-from hostlink.protocol.session import DEFAULT_BUFFER_BYTES, Session
+from hostlink.protocol.rosserial.control import Log
+from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.rosserial.negotiation import MAX_PARTS, MAX_SAME_REQUESTS
+from hostlink.protocol.rosserial.session import DEFAULT_BUFFER_BYTES, MOST_FRAMES, Session
 from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 
@@ -98,12 +100,12 @@ def test_frames_before_the_answer_cause_no_second_request() -> None:
 @pytest.mark.parametrize(
     ("infos", "gap_at"),
     [
-        ([ODOMETRY, LED._replace(topic_id=101)], 100),
-        ([ODOMETRY, LED, TEXT._replace(topic_id=102)], 101),
-        ([ODOMETRY, ODOMETRY._replace(topic_id=127, name="/b")], 126),
+        ([ODOMETRY, LED._replace(id=101)], 100),
+        ([ODOMETRY, LED, TEXT._replace(id=102)], 101),
+        ([ODOMETRY, ODOMETRY._replace(id=127, name="/b")], 126),
     ],
 )
-def test_gap_in_the_ids_causes_three_requests(infos: list[TopicInfo], gap_at: int) -> None:
+def test_gap_in_the_ids_causes_three_requests(infos: list[DeviceEndpoint], gap_at: int) -> None:
     host = Host(*infos)
     assert [event.gap_at for event in host.events if isinstance(event, events.TopicsNegotiated)] == [gap_at]
     topic_requests = 0
@@ -116,7 +118,7 @@ def test_gap_in_the_ids_causes_three_requests(infos: list[TopicInfo], gap_at: in
 
 
 def test_other_topics_are_a_new_cause_for_requests() -> None:
-    lost = LED._replace(topic_id=101)
+    lost = LED._replace(id=101)
     host = Host(ODOMETRY, lost)
     for _ in range(MAX_SAME_REQUESTS):
         host.wait(1.2)
@@ -163,7 +165,7 @@ def test_messages_between_topics_let_the_same_negotiation_go_on() -> None:
 
 def test_frame_after_each_topic_ends_eight_negotiations_then_waits_for_a_pause() -> None:
     """Each finished negotiation costs the hub 6 ms with 256 velocity topics, for 90 bytes from the device."""
-    host, topics = Host(), [ODOMETRY._replace(topic_id=125 + number, name=f"/t{number}") for number in range(40)]
+    host, topics = Host(), [ODOMETRY._replace(id=125 + number, name=f"/t{number}") for number in range(40)]
     for topic in topics:
         host.receive(wire(topic) + TIME)
     assert host.session.counts.negotiations == MAX_PARTS
@@ -175,7 +177,7 @@ def test_frame_after_each_topic_ends_eight_negotiations_then_waits_for_a_pause()
 
 def test_messages_between_topics_that_are_announced_again_change_nothing() -> None:
     """A configured device continues to publish. Its robot must not disappear meanwhile."""
-    scan = ODOMETRY._replace(topic_id=126, name="/scan")
+    scan = ODOMETRY._replace(id=126, name="/scan")
     host = Host(ODOMETRY, scan, LED)
     messages = encode(125, bytes(24)) + encode(126, bytes(24))
     parts = [TIME, wire(ODOMETRY), messages, wire(scan), messages, encode(Id.PARAMETER, encode_parameter_request("/a"))]
@@ -214,9 +216,9 @@ def test_second_negotiation_replaces_the_first() -> None:
 
 def test_dropped_frames_are_reported_as_change_though_the_topics_are_the_same() -> None:
     """The receiver of TopicsNegotiated sends a zero velocity if a queued one was dropped."""
-    host = Host(ODOMETRY, TEXT._replace(topic_id=100), LED)
+    host = Host(ODOMETRY, TEXT._replace(id=100), LED)
     host.session.publish("/led", b"\x00", is_urgent=True)
-    found = host.receive(TIME + wire(ODOMETRY, TEXT._replace(topic_id=100), LED) + TIME)
+    found = host.receive(TIME + wire(ODOMETRY, TEXT._replace(id=100), LED) + TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
     assert [event.is_changed for event in found if isinstance(event, events.TopicsNegotiated)] == [True]
 
@@ -271,12 +273,12 @@ def test_refused_topic_is_an_event_and_its_messages_are_not_delivered() -> None:
 
 def test_services_work_in_both_directions() -> None:
     server = [
-        TopicInfo(Id.SERVICE_SERVER_PUBLISHER, 125, "/set", "std_srvs/SetBool", "m", 512),
-        TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/set", "std_srvs/SetBool", "m", 512),
+        DeviceEndpoint(EndpointKind.SERVICE_SERVER_PUBLISHER, 125, "/set", "std_srvs/SetBool", "m", 512),
+        DeviceEndpoint(EndpointKind.SERVICE_SERVER_SUBSCRIBER, 100, "/set", "std_srvs/SetBool", "m", 512),
     ]
     client = [
-        TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "std_srvs/SetBool", "m", 512),
-        TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 101, "/ask", "std_srvs/SetBool", "m", 512),
+        DeviceEndpoint(EndpointKind.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "std_srvs/SetBool", "m", 512),
+        DeviceEndpoint(EndpointKind.SERVICE_CLIENT_SUBSCRIBER, 101, "/ask", "std_srvs/SetBool", "m", 512),
     ]
     host = Host(*server, *client)
     host.session.call("/set", b"request")
@@ -345,7 +347,7 @@ def test_frame_may_pause_for_two_seconds() -> None:
 
 
 def test_larger_announced_buffer_raises_the_frame_limit() -> None:
-    big = TopicInfo(Id.PUBLISHER, 125, "/image", "sensor_msgs/Image", "m", 5000)
+    big = DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/image", "sensor_msgs/Image", "m", 5000)
     host = Host(big)
     assert host.receive(encode(125, bytes(4000))) == [events.MessageReceived(big, bytes(4000))]
 
@@ -359,8 +361,8 @@ def test_pop_frame_waits_for_a_paced_device() -> None:
 
 
 def test_long_message_is_refused_while_the_robot_moves() -> None:
-    text = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
-    service = TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 102, "/service", "x/Y", "m", 512)
+    text = DeviceEndpoint(EndpointKind.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
+    service = DeviceEndpoint(EndpointKind.SERVICE_SERVER_SUBSCRIBER, 102, "/service", "x/Y", "m", 512)
     session = Session(check=check, uart_bytes_s=3840)
     session.open(now_s=0.0)
     session.receive(TIME + wire(text, service) + TIME, now_s=0.1)
@@ -382,22 +384,22 @@ def test_changed_topics_reset_robot_moves() -> None:
     session.open(now_s=0.0)
     session.receive(TIME + wire(ODOMETRY, LED) + TIME, now_s=0.1)
     session.outbox.robot_moves = True
-    text = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
+    text = DeviceEndpoint(EndpointKind.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
     session.receive(wire(ODOMETRY, LED, text) + TIME, now_s=1.0)
     session.publish("/text", bytes(500))
 
 
 def test_longest_frame_to_the_device_is_its_largest_buffer() -> None:
-    assert Host().session.longest_to_device_bytes == DEFAULT_BUFFER_BYTES
+    assert Host().session.claim_bytes == DEFAULT_BUFFER_BYTES
     host = Host(ODOMETRY, LED)
-    assert host.session.longest_to_device_bytes == LED.buffer_bytes
+    assert host.session.claim_bytes == LED.buffer_bytes
 
 
 def test_zero_is_sent_to_an_endpoint_unless_its_id_has_another_name_type_and_md5_sum() -> None:
     host = Host(LED)
-    for info in (LED, LED._replace(md5="n"), LED._replace(buffer_bytes=1), LED._replace(topic_id=116)):
+    for info in (LED, LED._replace(md5="n"), LED._replace(buffer_bytes=1), LED._replace(id=116)):
         assert host.session.send_zero(info, b"\0")
-        assert host.sent() == [Frame(info.topic_id, b"\0")]
+        assert host.sent() == [Frame(info.id, b"\0")]
     for info in (LED._replace(name="/lid"), LED._replace(type="std_msgs/Bowl", name="/lid")):
         assert host.session.may_have(info)
     other = LED._replace(name="/lid", type="std_msgs/Bowl", md5="n")
@@ -410,7 +412,7 @@ def test_zero_is_sent_to_an_endpoint_unless_its_id_has_another_name_type_and_md5
     "altered",
     [LED._replace(md5="wrong"), LED._replace(md5="n"), LED._replace(buffer_bytes=8), LED._replace(name="/lid")],
 )
-def test_id_with_another_meaning_causes_a_topic_request(altered: TopicInfo) -> None:
+def test_id_with_another_meaning_causes_a_topic_request(altered: DeviceEndpoint) -> None:
     host = Host(ODOMETRY, LED)
     host.wait(1.5)
     host.receive(wire(ODOMETRY, altered) + TIME)
@@ -454,7 +456,7 @@ def test_answer_time_starts_with_the_topic_request() -> None:
 
 
 def test_endpoint_of_a_service_takes_the_request() -> None:
-    service = TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 110, "/halt", "std_srvs/Empty", "m", 512)
+    service = DeviceEndpoint(EndpointKind.SERVICE_SERVER_SUBSCRIBER, 110, "/halt", "std_srvs/Empty", "m", 512)
     host = Host(LED, service)
     assert host.session.service_endpoint("/halt", b"") == service
     assert host.sent() == []
@@ -498,7 +500,7 @@ def test_waiting_time_is_reported_before_and_after_sending() -> None:
 
 def test_one_id_may_be_that_of_a_publisher_and_of_a_subscriber() -> None:
     """Ids are per direction: nnarain/rosserial-rs numbers both from 125."""
-    led = LED._replace(topic_id=ODOMETRY.topic_id)
+    led = LED._replace(id=ODOMETRY.id)
     for infos in ((ODOMETRY, led), (led, ODOMETRY)):
         host = Host(*infos)
         assert host.session.topics == (led, ODOMETRY)
@@ -513,7 +515,7 @@ def test_one_id_may_be_that_of_a_publisher_and_of_a_subscriber() -> None:
 
 
 def test_refused_subscriber_leaves_the_publisher_of_its_id() -> None:
-    host = Host(ODOMETRY, LED._replace(topic_id=ODOMETRY.topic_id, md5="wrong"))
+    host = Host(ODOMETRY, LED._replace(id=ODOMETRY.id, md5="wrong"))
     assert host.session.topics == (ODOMETRY,)
     assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
     with pytest.raises(WrongType):
@@ -522,7 +524,7 @@ def test_refused_subscriber_leaves_the_publisher_of_its_id() -> None:
 
 def test_frame_from_the_device_with_the_id_of_a_subscriber_is_refused_and_causes_no_request() -> None:
     host = Host(ODOMETRY, LED)
-    host.receive(encode(LED.topic_id, b"\x01"))
+    host.receive(encode(LED.id, b"\x01"))
     assert (host.session.counts.refused_frames, host.session.counts.unknown_ids) == (1, 0)
     assert host.requests() == []
 
@@ -530,5 +532,12 @@ def test_frame_from_the_device_with_the_id_of_a_subscriber_is_refused_and_causes
 def test_message_of_a_refused_publisher_is_refused() -> None:
     host = Host(ODOMETRY._replace(md5="wrong"))
     assert host.session.topics == ()
-    assert host.receive(encode(ODOMETRY.topic_id, bytes(24))) == []
+    assert host.receive(encode(ODOMETRY.id, bytes(24))) == []
     assert (host.session.counts.refused_frames, host.session.counts.unknown_ids) == (1, 0)
+
+
+def test_many_short_frames_are_read_in_parts() -> None:
+    session, frame = Host().session, encode(999, b"")
+    assert not session.is_crowded(frame * MOST_FRAMES)
+    assert session.is_crowded(frame * (MOST_FRAMES + 1))
+    assert not session.is_crowded(encode(125, b"\xff" * 4000))

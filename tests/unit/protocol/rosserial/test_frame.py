@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Id, byte_sum, contains_protocol_1, encode
+from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Id, byte_sum, contains_protocol_1, encode
 
 
 @pytest.mark.parametrize(

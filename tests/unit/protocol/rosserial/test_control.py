@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.protocol.control import (
+from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.protocol.events import Parameter
+from hostlink.protocol.rosserial.control import (
     Log,
-    Parameter,
-    TopicInfo,
     decode_log,
     decode_parameter,
     decode_parameter_request,
@@ -18,7 +18,7 @@ from hostlink.protocol.control import (
     encode_time,
     encode_topic_info,
 )
-from hostlink.protocol.frame import Id
+from hostlink.protocol.rosserial.frame import Id
 from tests.support.device_codec import decode_time, encode_log, encode_parameter_request
 from tests.support.strategies import topic_infos
 
@@ -26,7 +26,7 @@ RECORDED = bytes.fromhex(  # first TopicInfo of the robot in tests/captures
     "7d00110000002f726f626f745f302f6f646f6d657472791400000067656f6d657472795f6d7367732f506f73653244"
     "20000000393338666136353730393538346164386537376432333835323962653133623800020000"
 )
-INFO = TopicInfo(
+INFO = DeviceEndpoint(
     Id.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D", "938fa65709584ad8e77d238529be13b8", 512
 )
 
@@ -66,7 +66,7 @@ def test_kind_has_its_direction(kind: int, is_to_device: bool) -> None:
 
 
 @given(topic_infos)
-def test_topic_infos_round_trip(info: TopicInfo) -> None:
+def test_topic_infos_round_trip(info: DeviceEndpoint) -> None:
     assert decode_topic_info(info.kind, encode_topic_info(info)) == info
 
 

@@ -7,7 +7,15 @@ from enum import Enum
 from heapq import heappop, heappush
 from typing import NamedTuple
 
-from hostlink.protocol.frame import HEADER, MAX_PAYLOAD_BYTES, OVERHEAD_BYTES, SYNC, SYNC_WORD, Frame, byte_sum
+from hostlink.protocol.rosserial.frame import (
+    HEADER,
+    MAX_PAYLOAD_BYTES,
+    OVERHEAD_BYTES,
+    SYNC,
+    SYNC_WORD,
+    Frame,
+    byte_sum,
+)
 
 MAX_CLAIMED_BYTES = 4 * (MAX_PAYLOAD_BYTES + OVERHEAD_BYTES)  # limits what one received byte can complete
 DEFAULT_LIMIT_BYTES = 1024  # twice rosserial's usual buffer; limit of a length field before topics are known

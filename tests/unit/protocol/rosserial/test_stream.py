@@ -2,8 +2,8 @@
 
 import pytest
 
-from hostlink.protocol.frame import Frame, encode
-from hostlink.protocol.stream import MAX_CLAIMED_BYTES, FrameStream, Rejection, Skipped
+from hostlink.protocol.rosserial.frame import Frame, encode
+from hostlink.protocol.rosserial.stream import MAX_CLAIMED_BYTES, FrameStream, Rejection, Skipped
 
 A, B = Frame(125, b"first"), Frame(126, b"second")
 WIRE_A, WIRE_B = encode(*A), encode(*B)

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.link.link import INVITATION, MAX_HEADS, has_frame
-from hostlink.protocol.frame import Frame, Id, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.rosserial.protocol import MAX_HEADS, has_frame
+from hostlink.protocol.rosserial.stream import FrameStream
 
 TIME = encode(Id.TIME, bytes(8))
 
@@ -16,7 +16,7 @@ def test_whole_frame_is_found_at_any_offset(topic_id: int, payload: bytes, befor
     assert has_frame(before + encode(topic_id, payload) + after)
 
 
-@pytest.mark.parametrize("frame", [TIME, INVITATION, encode(125, bytes(range(24)))])
+@pytest.mark.parametrize("frame", [TIME, TOPICS_REQUEST, encode(125, bytes(range(24)))])
 def test_partial_or_damaged_frame_is_not_found(frame: bytes) -> None:
     for end in range(len(frame)):
         assert not has_frame(frame[:end])

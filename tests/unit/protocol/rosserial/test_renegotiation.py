@@ -6,18 +6,19 @@ import pytest
 
 from hostlink.errors import DeviceBusy, FrameTooLarge, UnknownTopic, WrongType
 from hostlink.protocol import events
-from hostlink.protocol.control import Parameter, TopicInfo
-from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.events import Parameter
 from hostlink.protocol.outbox import MAX_REPLIES
-from hostlink.protocol.topic_table import MAX_MISSED
+from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 
 MOTOR = LED._replace(name="/motor", type="std_msgs/Int32")
-SERVICE = TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 101, "/set", "std_srvs/SetBool", "m", 512)
+SERVICE = DeviceEndpoint(EndpointKind.SERVICE_SERVER_SUBSCRIBER, 101, "/set", "std_srvs/SetBool", "m", 512)
 WRONG_LED = LED._replace(md5="wrong")
-CLIENT = TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "std_srvs/SetBool", "m", 512)
-ANSWER = TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 102, "/ask", "std_srvs/SetBool", "m", 512)
-BIG = TopicInfo(Id.PUBLISHER, 126, "/image", "sensor_msgs/Image", "m", 5000)
+CLIENT = DeviceEndpoint(EndpointKind.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "std_srvs/SetBool", "m", 512)
+ANSWER = DeviceEndpoint(EndpointKind.SERVICE_CLIENT_SUBSCRIBER, 102, "/ask", "std_srvs/SetBool", "m", 512)
+BIG = DeviceEndpoint(EndpointKind.PUBLISHER, 126, "/image", "sensor_msgs/Image", "m", 5000)
 
 
 @pytest.mark.parametrize("is_urgent", [False, True])
@@ -45,7 +46,7 @@ def test_queued_call_is_dropped_when_its_service_is_removed() -> None:
 
 
 @pytest.mark.parametrize("lost", [ODOMETRY, LED, SERVICE, CLIENT, ANSWER])
-def test_missing_topic_is_requested_and_kept_until_three_negotiations_lack_it(lost: TopicInfo) -> None:
+def test_missing_topic_is_requested_and_kept_until_three_negotiations_lack_it(lost: DeviceEndpoint) -> None:
     topics = [ODOMETRY, CLIENT, LED, SERVICE, ANSWER]
     rest = [info for info in topics if info is not lost]
     host = Host(*topics)
@@ -71,17 +72,17 @@ def test_new_topic_does_not_confirm_the_loss_of_another() -> None:
     assert host.requests() == ["missing"]
 
 
-@pytest.mark.parametrize("other", [LED._replace(topic_id=101), ODOMETRY._replace(name="/text"), MOTOR])
-def test_missing_topic_is_removed_when_the_announcement_contradicts_the_last(other: TopicInfo) -> None:
+@pytest.mark.parametrize("other", [LED._replace(id=101), ODOMETRY._replace(name="/text"), MOTOR])
+def test_missing_topic_is_removed_when_the_announcement_contradicts_the_last(other: DeviceEndpoint) -> None:
     """An id with another meaning, or a name with another id, shows that the device runs another program."""
-    host = Host(ODOMETRY, LED, SERVICE._replace(topic_id=102))
+    host = Host(ODOMETRY, LED, SERVICE._replace(id=102))
     host.receive(TIME + wire(other) + TIME, after_s=1.0)
     assert host.session.topics == (other,)
 
 
 def test_announcement_in_parts_counts_as_one_negotiation() -> None:
     """Each part ends with a time request. Three parts must not count as three negotiations without the last topic."""
-    topics = [ODOMETRY, TEXT._replace(topic_id=101), SERVICE._replace(topic_id=102), LED]
+    topics = [ODOMETRY, TEXT._replace(id=101), SERVICE._replace(id=102), LED]
     host = Host(*topics)
     host.session.probe()
     assert host.session.tick(now_s=host.now_s) == [events.TopicsRequested("probe")]
@@ -141,7 +142,7 @@ def test_refused_topic_that_is_no_longer_announced_is_unknown() -> None:
 def test_topic_of_a_right_id_that_was_refused_before_is_usable() -> None:
     host = Host(WRONG_LED)
     host.receive(TIME)
-    host.receive(wire(TEXT._replace(topic_id=100)) + TIME)
+    host.receive(wire(TEXT._replace(id=100)) + TIME)
     assert [topic.name for topic in host.session.topics] == ["/text"]
 
 
@@ -185,7 +186,7 @@ def test_size_is_valid_from_the_next_frame_on() -> None:
 
 @pytest.mark.parametrize("buffer_bytes", [65543, 65544, 2**31 - 1])
 def test_buffer_above_the_largest_frame_is_limited(buffer_bytes: int) -> None:
-    host = Host(TEXT._replace(topic_id=100, buffer_bytes=buffer_bytes))
+    host = Host(TEXT._replace(id=100, buffer_bytes=buffer_bytes))
     host.session.publish("/text", bytes(65535))
     with pytest.raises(FrameTooLarge, match="/text: frame of 65544 bytes, the device takes 65543"):
         host.session.publish("/text", bytes(65536))
@@ -193,7 +194,7 @@ def test_buffer_above_the_largest_frame_is_limited(buffer_bytes: int) -> None:
 
 @pytest.mark.parametrize("buffer_bytes", [0, -1, -(2**31)])
 def test_invalid_buffer_size_is_replaced_by_the_default(buffer_bytes: int) -> None:
-    host = Host(TEXT._replace(topic_id=100, buffer_bytes=buffer_bytes))
+    host = Host(TEXT._replace(id=100, buffer_bytes=buffer_bytes))
     host.session.publish("/text", bytes(504))
     with pytest.raises(FrameTooLarge, match="/text: frame of 513 bytes, the device takes 512"):
         host.session.publish("/text", bytes(505))

@@ -1,0 +1,1 @@
+"""The rosserial protocol: frames, topic negotiation, sessions. No I/O and no clock."""

@@ -1,0 +1,72 @@
+"""ROSSERIAL: the protocol of rosserial devices, as listeners and links use it."""
+
+from functools import partial
+
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.rosserial.frame import HEADER, OVERHEAD_BYTES, SYNC, SYNC_WORD, TOPICS_REQUEST, byte_sum
+from hostlink.protocol.rosserial.session import Session
+from hostlink.protocol.session import DeviceProtocol, DeviceSession
+
+MAX_HEADS = 8  # false frame starts that are examined, so that the work is bounded
+
+
+class Rosserial(DeviceProtocol):
+    """rosserial, as rosserial_arduino's ros_lib and hostlink's own library speak it."""
+
+    name = "rosserial"
+    invitation = TOPICS_REQUEST  # a silent device sends its first datagram when its topics are requested
+
+    def session(self, catalog: Catalog, *, uart_bytes_s: int | None, max_topics: int, is_lossy: bool) -> DeviceSession:
+        """Create the session of a new connection."""
+        check = partial(check_type, catalog)
+        return Session(check=check, uart_bytes_s=uart_bytes_s, max_topics=max_topics, is_lossy=is_lossy)
+
+    def is_greeting(self, data: bytes) -> bool:
+        """Whether a datagram contains a whole frame."""
+        return has_frame(data)
+
+
+ROSSERIAL = Rosserial()
+
+
+def check_type(catalog: Catalog, info: DeviceEndpoint) -> int | None:
+    """Return the fixed payload size of an endpoint; None if it varies or the type is unknown.
+
+    Raises:
+        WrongType: the md5 sum is wrong.
+    """
+    checks = {
+        EndpointKind.PUBLISHER: catalog.check_message,
+        EndpointKind.SUBSCRIBER: catalog.check_message,
+        EndpointKind.SERVICE_SERVER_PUBLISHER: catalog.check_response,
+        EndpointKind.SERVICE_SERVER_SUBSCRIBER: catalog.check_request,
+        EndpointKind.SERVICE_CLIENT_PUBLISHER: catalog.check_request,
+        EndpointKind.SERVICE_CLIENT_SUBSCRIBER: catalog.check_response,
+    }
+    found = checks[info.kind](info.name, info.type, info.md5)
+    return None if found is None else found.fixed_bytes
+
+
+def has_frame(data: bytes) -> bool:
+    """Whether the data contains a whole frame at any offset. A UART bridge over UDP cuts the stream anywhere."""
+    at = -1
+    for _ in range(MAX_HEADS):
+        at = data.find(SYNC, at + 1)
+        if at < 0:
+            return False
+        if _is_frame(data, at):
+            return True
+    return False
+
+
+def _is_frame(data: bytes, at: int) -> bool:
+    """Whether a whole frame begins at the offset."""
+    if len(data) < at + OVERHEAD_BYTES:
+        return False
+    sync, size, length_check, topic_id = HEADER.unpack_from(data, at)
+    end = at + HEADER.size + size
+    if sync != SYNC_WORD or length_check != ~(size + (size >> 8)) & 0xFF or len(data) <= end:
+        return False
+    payload = memoryview(data)[at + HEADER.size : end]
+    return bool(data[end] == ~(topic_id + (topic_id >> 8) + byte_sum(payload)) & 0xFF)
