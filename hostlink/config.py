@@ -41,6 +41,7 @@ class TcpConfig:
     max_connections_per_address: int = 64  # a fleet behind one address, such as the simulated one
     key_file: Path | None = None  # key that devices must prove, as the project's ESP8266 firmware can
     keyless: tuple[str, ...] = ()  # with key_file: networks of devices that need no key
+    protocol: str = "rosserial"  # that the devices speak: docs/protocols.md
     mdns: bool = False  # advertise this port in the local network as _rosserial._tcp
 
     def __post_init__(self) -> None:
@@ -63,6 +64,7 @@ class UdpConfig:
     max_connections_per_address: int = 64
     key_file: Path | None = None
     keyless: tuple[str, ...] = ()
+    protocol: str = "rosserial"
 
     def __post_init__(self) -> None:
         for network in (*self.allow, *self.trusted, *self.keyless):
@@ -94,6 +96,7 @@ class SerialConfig:
     on_open: Literal["leave", "reset"] = "leave"  # DTR line of the board: leave it, or reset the board
     dtr: bool = True  # lines while the port is open; both on hold some boards in reset, for example an ESP32-CAM-MB
     rts: bool = True
+    protocol: str = "rosserial"
 
     def __post_init__(self) -> None:
         if (self.path is None) == (self.usb_serial is None):

@@ -20,8 +20,7 @@ from hostlink.listening import spelled
 from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
-from hostlink.protocol.rosserial.protocol import ROSSERIAL
-from hostlink.protocol.session import DeviceProtocol
+from hostlink.protocol.registry import find_protocol
 from hostlink.rate_limit import RateLimit
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import ignore
@@ -116,9 +115,10 @@ class _Acceptor:
         """Create the acceptor. `way`: tcp or udp.
 
         Raises:
-            ConfigError: the key file cannot be used.
+            ConfigError: the key file cannot be used, or the protocol is unknown.
         """
         self._hub, self._way = hub, way
+        self._protocol = find_protocol(config.protocol)
         self._admission = ConnectionAdmission(config)
         self._key = None if config.key_file is None else read_key(config.key_file, f"{way}.key_file")
         self._paused_until_s: dict[str, float] = {}
@@ -186,7 +186,7 @@ class TcpAcceptor(_Acceptor):
             return
         if verdict.evicts is not None:
             self._evict(self._links.pop(verdict.evicts))
-        link = self._hub.links.open(transport)
+        link = self._hub.links.open(transport, protocol=self._protocol)
         self._links[link.number] = link
         self._hub.spawn(self._serve(link, self._authentication(transport)), name=f"link to {transport.peer}")
 
@@ -220,7 +220,6 @@ class UdpAcceptor(_Acceptor):
 
     def __init__(self, hub: Hub, config: UdpConfig) -> None:
         super().__init__(hub, config, "udp")
-        self._protocol: DeviceProtocol = ROSSERIAL
         self._config = config
         self._trusted = [ipaddress.ip_network(network) for network in config.trusted]
         self._devices = config.device_addresses()
@@ -275,7 +274,7 @@ class UdpAcceptor(_Acceptor):
             on_other=lambda other: self.receive(port, other),
             on_limited=lambda: self._count("unverified", peer, address),
         )
-        session = _Session(self._hub.links.open(transport), transport)
+        session = _Session(self._hub.links.open(transport, protocol=self._protocol), transport)
         self._sessions[datagram.source[:2]] = session
         self._hub.spawn(self._serve(session, datagram.source[:2]), name=f"link to {peer}")
         return True
@@ -344,7 +343,7 @@ async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None
         return error.strerror or str(error)
     hub.diagnoses.observe_port(config.name, None)
     on_open()
-    link = hub.links.open(transport, _link_config(hub, config))
+    link = hub.links.open(transport, _link_config(hub, config), find_protocol(config.protocol))
     hub.diagnoses.observe_baud(link, config.bauds[0])
     async with asyncio.TaskGroup() as tasks:
         helpers = (

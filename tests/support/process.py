@@ -122,6 +122,10 @@ class Process:
         """The JSON of a POST that must succeed."""
         return await self._request("POST", path, body)
 
+    async def put(self, path: str, body: object) -> Any:
+        """The JSON of a PUT that must succeed."""
+        return await self._request("PUT", path, body)
+
     async def _request(self, method: str, path: str, body: object = None) -> Any:
         async with aiohttp.ClientSession() as session, session.request(method, self.url + path, json=body) as response:
             answer = await response.json()
