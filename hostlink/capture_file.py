@@ -1,6 +1,7 @@
 """Captures of a link's bytes in both directions.
 
 A capture is JSON lines: {"t": seconds, "dir": "device" | "host", "hex": bytes, "conn": n, "event": "open" | "close"}.
+The first line of a connection names its protocol, unless it is rosserial.
 `dir` is the sender; `conn` counts connections; only a line without bytes has an `event`. Lines are ordered by time. The
 event `topics` marks that the beginning is lost; its bytes announce the topics of that time.
 """
@@ -22,6 +23,7 @@ class Read(msgspec.Struct):
     t: float = 0.0
     conn: int = 0
     event: Literal["open", "topics", "close"] | None = None
+    protocol: str = "rosserial"
 
 
 def load_reads(path: Path) -> Iterator[Read]:

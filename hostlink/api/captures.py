@@ -27,6 +27,7 @@ class ReadView(TypedDict):
     hex: str
     conn: int
     event: NotRequired[str]
+    protocol: NotRequired[str]  # of the first line of a link that does not speak rosserial
 
 
 class CaptureView(TypedDict):
@@ -76,7 +77,9 @@ def capture_view(diagnosis: Diagnosis, since: tuple[int, int] = _START) -> Captu
     number, found = diagnosis.link.number, diagnosis.captured(since)
     reads: list[ReadView] = []
     if since == _START:
-        reads.append(_read_view(0.0, "device", b"", number) | {"event": "open"})
+        opened = _read_view(0.0, "device", b"", number) | {"event": "open"}
+        protocol = diagnosis.link.session.protocol
+        reads.append(opened if protocol == "rosserial" else opened | {"protocol": protocol})
         if found.lost[0]:
             time_s, announced = found.pieces[0].time_s, diagnosis.announced_before(found.lost[0])
             reads.append(_read_view(time_s, "device", announced, number) | {"event": "topics"})

@@ -23,7 +23,7 @@ from hostlink.diagnosis.replay import Replay, replay
 from hostlink.hub.hub import Hub
 from hostlink.listening import own_address
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.rosserial.protocol import check_type
+from hostlink.protocol.registry import find_protocol
 from hostlink.transport.port_users import PROC, find_user
 
 # -- port users -------------------------------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
 def probe_capture(path: Path, folders: tuple[Path, ...]) -> Report:
     """Diagnose the connections of a capture."""
     catalog = Catalog(folders)
-    connections = replay(counted(load_reads(path), "lines"), lambda info: check_type(catalog, info))
+    connections = replay(counted(load_reads(path), "lines"), find_protocol, catalog)
     links = [_recorded(number, str(path), connection) for number, connection in connections.items()]
     return {"source": str(path), "links": links, "findings": []}
 

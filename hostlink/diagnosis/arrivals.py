@@ -67,9 +67,9 @@ def connection_text(received_bytes: int, frames: int, topics: int, end: str | No
     if topics:
         what = f"announces {topics} topics, but no velocity and no odometry of a robot"
     elif frames:
-        what = f"sent {frames} rosserial frames and announced no topics"
+        what = f"sent {frames} frames and announced no topics"
     elif received_bytes:
-        what = f"sent {received_bytes} bytes without a rosserial frame"
+        what = f"sent {received_bytes} bytes without a frame"
     else:
         what = "sent nothing"
     return f"connected, {what}" if end is None else f"{what}; the connection ended: {end.replace('_', ' ')}"

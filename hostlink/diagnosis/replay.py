@@ -9,27 +9,25 @@ from hostlink.capture_file import Read
 from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
-from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.messages.catalog import Catalog
 from hostlink.protocol.events import MessageReceived, TopicsRequested
-from hostlink.protocol.rosserial.frame import MAX_PAYLOAD_BYTES, Frame, Id
-from hostlink.protocol.rosserial.session import Session
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.protocol.session import DeviceProtocol
 
 
 class Replay:
     """Diagnosis of one connection of a recording. Times are those of the recording."""
 
-    def __init__(self, check: Callable[[DeviceEndpoint], int | None], *, now_s: float) -> None:
+    def __init__(self, protocol: DeviceProtocol, catalog: Catalog, *, now_s: float) -> None:
         self.opened_at_s = self.ended_at_s = now_s
-        self._check = check
-        self._to_device = FrameStream(limit_bytes=MAX_PAYLOAD_BYTES)
+        self._protocol, self._catalog = protocol, catalog
+        self._requests_in = protocol.host_reader()
         self._found: dict[str, Finding] = {}
         self._announced: bytes | None = None  # topics announced before the device's first recorded byte
         self._begin(now_s)
 
     def _begin(self, now_s: float) -> None:
         self.begun_at_s = now_s  # later than opened_at_s if the beginning of the recording is lost
-        self.session = Session(check=self._check)
+        self.session = self._protocol.session(self._catalog)
         self._monitor = LinkMonitor(self.session, now_s=now_s)
         self._received_at_s = self._sampled_at_s = now_s
         self._requests = 0
@@ -56,10 +54,9 @@ class Replay:
                 if not isinstance(event, (MessageReceived, TopicsRequested)):
                     self._monitor.observe(event, read.t)
         elif read.hex:
-            for item in self._to_device.feed(bytes.fromhex(read.hex)):
-                if isinstance(item, Frame) and item.topic_id == Id.PUBLISHER:
-                    self._requests += 1  # requests of the recorded host, not of this session
-                    self._monitor.observe(TopicsRequested("recorded"), read.t)
+            for _ in range(self._requests_in(bytes.fromhex(read.hex))):
+                self._requests += 1  # requests of the recorded host, not of this session
+                self._monitor.observe(TopicsRequested("recorded"), read.t)
 
     def findings(self) -> list[Finding]:
         """Return every fault that was detected at any time, the likeliest cause first."""
@@ -76,11 +73,17 @@ class Replay:
         self._found |= {each.code: each for each in diagnose(dataclasses.replace(evidence, requests=self._requests))}
 
 
-def replay(reads: Iterable[Read], check: Callable[[DeviceEndpoint], int | None]) -> dict[int, Replay]:
-    """Replay a recording. Return its connections by number."""
+def replay(
+    reads: Iterable[Read], find_protocol: Callable[[str], DeviceProtocol], catalog: Catalog
+) -> dict[int, Replay]:
+    """Replay a recording. Return its connections by number. `find_protocol` returns the one of a name in it.
+
+    Raises:
+        HostlinkError: as from `find_protocol`.
+    """
     connections: dict[int, Replay] = {}
     for read in reads:
         if read.conn not in connections:
-            connections[read.conn] = Replay(check, now_s=read.t)
+            connections[read.conn] = Replay(find_protocol(read.protocol), catalog, now_s=read.t)
         connections[read.conn].add(read)
     return connections

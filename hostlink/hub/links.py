@@ -23,7 +23,6 @@ from hostlink.link.link import Link
 from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.logs import of_peer, printable
 from hostlink.protocol import events
-from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.protocol.session import DeviceProtocol
 from hostlink.robot.model import CommandSettings, RobotTopicNames, namespace_of
 from hostlink.robot.names import Accepted, Directory, Origin, Places, Remembered, Undecided
@@ -71,14 +70,12 @@ class Links:
             events.ServiceResponded: self._pass_answer,
             events.ParameterRequested: self._answer_parameter,
             events.DeviceLogged: self._log_line,
-            events.Protocol1Recognised: _log_protocol_1,
+            events.VersionRefused: _log_version,
         }
 
     # -- connections --------------------------------------------------------------------------------------------------
 
-    def open(
-        self, transport: Transport, link_config: LinkConfig | None = None, protocol: DeviceProtocol = ROSSERIAL
-    ) -> Link:
+    def open(self, transport: Transport, protocol: DeviceProtocol, link_config: LinkConfig | None = None) -> Link:
         """Create the link of one connection, whose device speaks this protocol. `serve` must follow."""
         hub = self._hub
         config = hub.config.link if link_config is None else link_config
@@ -500,7 +497,6 @@ def _note_answer(device: Device, event: events.TopicsAnswered) -> None:
     device.presence.note_answered(event.asked_at_s, device.link.received_at_s)
 
 
-def _log_protocol_1(_: Device, __: events.Protocol1Recognised) -> None:
-    log.error(
-        "protocol.version_1", advice="the device speaks rosserial of before 2013: rebuild it with a newer library"
-    )
+def _log_version(_: Device, event: events.VersionRefused) -> None:
+    name = f"protocol.{event.version}"
+    log.error(name, advice=event.advice)

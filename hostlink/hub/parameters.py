@@ -1,4 +1,4 @@
-"""Answers to parameter requests of devices, in rosserial's form."""
+"""Answers to parameter requests of devices."""
 
 import contextlib
 from collections import OrderedDict
@@ -110,7 +110,7 @@ def find_parameter(parameters: Mapping[str, ParameterValue], name: str) -> Param
     """Find a parameter by name, with or without its leading `/` or `~`; None if it does not exist.
 
     Raises:
-        WrongType: rosserial cannot carry the value.
+        WrongType: a device cannot take the value.
     """
     wanted = name.lstrip("/~")
     value = next((value for key, value in parameters.items() if key.lstrip("/~") == wanted), None)

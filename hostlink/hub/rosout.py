@@ -14,8 +14,8 @@ from hostlink.protocol.events import LOG_LEVELS, DeviceLogged
 log = structlog.get_logger()
 
 TOPIC, TYPE = "/rosout", "rosgraph_msgs/Log"
-_WARNING = 2  # of rosserial's levels
-_METHODS = ("debug", "info", "warning", "error", "error")  # methods of the log, for each of rosserial's levels
+_WARNING = 2  # of LOG_LEVELS
+_METHODS = ("debug", "info", "warning", "error", "error")  # methods of the log, for each of LOG_LEVELS
 
 
 class Rosout:

@@ -186,7 +186,7 @@ class TcpAcceptor(_Acceptor):
             return
         if verdict.evicts is not None:
             self._evict(self._links.pop(verdict.evicts))
-        link = self._hub.links.open(transport, protocol=self._protocol)
+        link = self._hub.links.open(transport, self._protocol)
         self._links[link.number] = link
         self._hub.spawn(self._serve(link, self._authentication(transport)), name=f"link to {transport.peer}")
 
@@ -274,7 +274,7 @@ class UdpAcceptor(_Acceptor):
             on_other=lambda other: self.receive(port, other),
             on_limited=lambda: self._count("unverified", peer, address),
         )
-        session = _Session(self._hub.links.open(transport, protocol=self._protocol), transport)
+        session = _Session(self._hub.links.open(transport, self._protocol), transport)
         self._sessions[datagram.source[:2]] = session
         self._hub.spawn(self._serve(session, datagram.source[:2]), name=f"link to {peer}")
         return True
@@ -343,7 +343,7 @@ async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None
         return error.strerror or str(error)
     hub.diagnoses.observe_port(config.name, None)
     on_open()
-    link = hub.links.open(transport, _link_config(hub, config), find_protocol(config.protocol))
+    link = hub.links.open(transport, find_protocol(config.protocol), _link_config(hub, config))
     hub.diagnoses.observe_baud(link, config.bauds[0])
     async with asyncio.TaskGroup() as tasks:
         helpers = (

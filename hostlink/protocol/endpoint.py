@@ -7,7 +7,7 @@ _TO_DEVICE = 0x10000  # above every id, which has 16 bits
 
 
 class EndpointKind(IntEnum):
-    """What a device does at an endpoint. A service has one for its requests and one for its responses."""
+    """Role of the device at an endpoint. A service has one endpoint for requests and one for responses."""
 
     PUBLISHER = 0
     SUBSCRIBER = 1

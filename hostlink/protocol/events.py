@@ -94,8 +94,14 @@ class UnknownTopicUsed(NamedTuple):
     topic_id: int
 
 
-class Protocol1Recognised(NamedTuple):
-    """The device speaks rosserial protocol version 1 (before 2013). Occurs once per session."""
+class VersionRefused(NamedTuple):
+    """The device speaks a version of its protocol that is not understood. Occurs once per session.
+
+    `version`: as the log names it. `advice` says what to do.
+    """
+
+    version: str
+    advice: str
 
 
 Event = (
@@ -110,5 +116,5 @@ Event = (
     | ParameterRequested
     | DeviceLogged
     | UnknownTopicUsed
-    | Protocol1Recognised
+    | VersionRefused
 )

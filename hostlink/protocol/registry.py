@@ -23,8 +23,8 @@ def find_protocol(name: str) -> DeviceProtocol:
         raise ConfigError(f"protocol = {name!r}", f"no installed package has this protocol; known: {known}")
     try:
         protocol = found[name].load()
-    except Exception as error:  # whatever a stranger's module raises
+    except Exception as error:  # a module of another package may raise anything
         raise ConfigError(f"protocol = {name!r}", f"{found[name].value} cannot be imported: {error!r}") from error
     if not isinstance(protocol, DeviceProtocol):
-        raise ConfigError(f"protocol = {name!r}", f"{found[name].value} is no DeviceProtocol")
+        raise ConfigError(f"protocol = {name!r}", f"{found[name].value} is not a DeviceProtocol")
     return protocol

@@ -1,4 +1,4 @@
-"""DeviceSession: what a link and the hub know of a device, whatever protocol it speaks. DeviceProtocol makes them."""
+"""DeviceSession and DeviceProtocol: interfaces of device protocols, which links and the hub use."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
@@ -38,7 +38,9 @@ class DeviceSession(ABC):
     for what a device sends, however damaged it is.
     """
 
-    def __init__(self, outbox: Outbox) -> None:
+    def __init__(self, protocol: str, outbox: Outbox) -> None:
+        """`protocol`: name of its DeviceProtocol."""
+        self.protocol = protocol
         self.counts = SessionCounts()
         self.device_clock = DeviceClock()
         self.outbox = outbox  # the link reads when its next frame may be sent
@@ -258,8 +260,14 @@ class DeviceProtocol(ABC):
     invitation = b""  # sent to a silent device of a datagram port, which then begins
 
     @abstractmethod
-    def session(self, catalog: Catalog, *, uart_bytes_s: int | None, max_topics: int, is_lossy: bool) -> DeviceSession:
+    def session(
+        self, catalog: Catalog, *, uart_bytes_s: int | None = None, max_topics: int = 256, is_lossy: bool = False
+    ) -> DeviceSession:
         """Create the session of a new connection. `is_lossy`: the transport may lose messages without a trace."""
+
+    def host_reader(self) -> Callable[[bytes], int]:
+        """Return a reader of a captured host's bytes: it counts the requests to the device to announce itself."""
+        return lambda _: 0
 
     @abstractmethod
     def is_greeting(self, data: bytes) -> bool:

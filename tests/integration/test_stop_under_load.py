@@ -22,6 +22,7 @@ from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.robot import AnyRobot, RemoteRobot
 from hostlink.protocol.rosserial.control import encode_topic_info
 from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity
@@ -286,7 +287,7 @@ def test_a_device_with_hundreds_of_velocities_leaves_each_turn_of_the_loop_to_ot
     async def run() -> list[int]:
         async with running_hub(Hub(Config(), CATALOG, reraises=True)) as hub:
             host_end, device_end = memory_pair()
-            hub.spawn(hub.links.serve(hub.links.open(host_end)), name="link")
+            hub.spawn(hub.links.serve(hub.links.open(host_end, ROSSERIAL)), name="link")
             twist = robot_topics()[1]
             topics = [twist._replace(id=100 + each, name=f"/{each}/cmd_vel") for each in range(256)]
             infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
@@ -336,7 +337,7 @@ async def deaf(room_bytes: int, write_timeout_s: float = 5.0) -> AsyncIterator[D
         await hub.is_running.wait()
         host_end, device_end = memory_pair(room_bytes=room_bytes)
         device = Deaf(hub, device_end)
-        hub.spawn(hub.links.serve(hub.links.open(host_end)), name="link")
+        hub.spawn(hub.links.serve(hub.links.open(host_end, ROSSERIAL)), name="link")
         await device.announce()
         assert await device.velocities(3) == [STOP] * 3
         yield device

@@ -16,6 +16,7 @@ from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.rosserial.control import encode_topic_info
 from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.fake_device import pose, robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
@@ -64,7 +65,7 @@ class Device:
     async def connect(self, hub: Hub) -> None:
         """Serve a host until it ends the connection."""
         host_end, self.end = memory_pair(room_bytes=ROOM_BYTES)
-        hub.spawn(hub.links.serve(hub.links.open(host_end)), name="link")
+        hub.spawn(hub.links.serve(hub.links.open(host_end, ROSSERIAL)), name="link")
         while data := await self.end.receive():
             for frame in self._stream.feed(data):
                 self._read(frame, asyncio.get_running_loop().time())

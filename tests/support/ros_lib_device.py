@@ -20,6 +20,7 @@ from hostlink.messages.parsing import parse_service
 from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.protocol.rosserial.control import encode_topic_info
 from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.protocol.rosserial.session import DEFAULT_BUFFER_BYTES
 from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.memory_transport import MemoryTransport, memory_pair
@@ -168,7 +169,7 @@ class Connected:
 async def ros_lib_device(hub: Hub, topics: list[DeviceEndpoint], response: MessageType) -> AsyncIterator[Connected]:
     """A device that has announced its topics to a running hub."""
     host_end, device_end = memory_pair()
-    link = hub.links.open(host_end)
+    link = hub.links.open(host_end, ROSSERIAL)
     made = Connected(RosLibDevice(device_end, topics, response), link)
 
     async def serve() -> None:

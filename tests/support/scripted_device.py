@@ -9,6 +9,7 @@ from hostlink.link.link import Link
 from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.protocol.rosserial.control import encode_topic_info
 from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.protocol.rosserial.stream import FrameStream
 from tests.support.memory_transport import memory_pair
 
@@ -22,7 +23,7 @@ class ScriptedDevice:
             host_end.peer = peer
         self.infos = list(infos)
         self.heard: list[tuple[float, Frame]] = []
-        self.link: Link = hub.links.open(host_end)
+        self.link: Link = hub.links.open(host_end, ROSSERIAL)
         self._stream = FrameStream()
         hub.spawn(hub.links.serve(self.link), name=f"link of {address}")
         self.task = asyncio.get_running_loop().create_task(self._listen(), name=f"device at {address}")

@@ -7,6 +7,7 @@ from typing import cast
 
 from hostlink.hub.hub import Hub
 from hostlink.protocol.rosserial.frame import Frame, encode
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.robot import Fault, SimulatedRobot
 from hostlink.sim.run import run_over_streams, run_over_tcp
@@ -74,7 +75,7 @@ async def simulated_in_memory(
     """Runs for the length of the block, in the loop that runs the hub."""
     robot, reader = DisturbedRobot(name, kind), asyncio.StreamReader()
     host_end, end = memory_pair(address=f"{name}.local")
-    hub.spawn(hub.links.serve(hub.links.open(host_end)), name=f"link of {name}")
+    hub.spawn(hub.links.serve(hub.links.open(host_end, ROSSERIAL)), name=f"link of {name}")
 
     async def read() -> None:
         while data := await end.receive():

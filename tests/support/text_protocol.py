@@ -34,7 +34,7 @@ class TextSession(DeviceSession):
     """The host's side of one connection."""
 
     def __init__(self, *, uart_bytes_s: int | None) -> None:
-        super().__init__(Outbox(ControlFrames(lambda _: b"", HELLO, b"BYE\n"), uart_bytes_s=uart_bytes_s))
+        super().__init__("text", Outbox(ControlFrames(lambda _: b"", HELLO, b"BYE\n"), uart_bytes_s=uart_bytes_s))
         self._topics: tuple[DeviceEndpoint, ...] = ()
         self._rest = b""  # of a line that is not complete
 

@@ -11,6 +11,7 @@ from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.messages.catalog import Catalog
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.protocol.rosserial.session import Session
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.gates import drive_gate
@@ -103,7 +104,7 @@ async def world(script: Script, program: Program, *, loop_s: float = 1 / 30) -> 
             host_end, relay_end = memory_pair()
             tap = Tap(host_end, number=len(taps))
             taps.append(tap)
-            link = hub.links.open(tap)
+            link = hub.links.open(tap, ROSSERIAL)
             tap.session = link.session
             hub.spawn(hub.links.serve(link), name=f"link to {tap.peer}")
             return relay_end

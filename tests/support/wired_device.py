@@ -14,6 +14,7 @@ from hostlink.link.link import Link
 from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.protocol.rosserial.control import Log
 from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.protocol.rosserial.stream import FrameStream
 from hostlink.transport.base import READ_BYTES, Transport
 from hostlink.transport.connection import StreamTransport
@@ -72,7 +73,7 @@ class WiredDevice:
         self.flood = Flood(self.deliver, self.read_bytes)
 
     def begin(self) -> None:
-        self.link = self._hub.links.open(self.transport)
+        self.link = self._hub.links.open(self.transport, ROSSERIAL)
         self._hub.spawn(self._hub.links.serve(self.link), name=f"link of {self.transport.peer}")
 
     def deliver(self, data: bytes) -> None:

@@ -141,7 +141,7 @@ async def test_without_a_robot_the_page_names_the_ports_of_this_daemon(browser: 
         await tab.page.screenshot(path=PICTURES / "page-empty.png")
         _, writer = await asyncio.open_connection(*host.tcp)
         writer.write(b"GET / HTTP/1.1\r\n\r\n")
-        await tab.shows("#robots .heard", "TCP 127.0.0.1: connected, sent 18 bytes without a rosserial frame")
+        await tab.shows("#robots .heard", "TCP 127.0.0.1: connected, sent 18 bytes without a frame")
         await expect_page(tab.page.locator("#robots .found")).to_be_empty()  # a device is connected
         writer.close()
         await tab.shows("#robots .heard", "the connection ended: peer closed")

@@ -85,7 +85,7 @@ async def test_robot_of_another_protocol_has_lease_stop_lock_doctor_and_capture(
         assert (view["name"], view["connected"]) == ("car", True)
         await daemon.put("/api/robots/car/velocity", {"linear": 0.25})
         await expect(lambda: "VEL 0.25 0" in robot.velocities)
-        await expect(lambda: robot.velocities[-1] == "VEL 0 0")  # nobody drives on: its lease ends
+        await expect(lambda: robot.velocities[-1] == "VEL 0 0")  # the lease ends
         await daemon.put("/api/robots/car/velocity", {"linear": 0.5})
         await expect(lambda: "VEL 0.5 0" in robot.velocities)
         answer = await daemon.post("/api/robots/car/stop")

@@ -1,11 +1,24 @@
 """ROSSERIAL: the protocol of rosserial devices, as listeners and links use it."""
 
+from collections.abc import Callable
 from functools import partial
 
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.frame import HEADER, OVERHEAD_BYTES, SYNC, SYNC_WORD, TOPICS_REQUEST, byte_sum
-from hostlink.protocol.rosserial.session import Session
+from hostlink.protocol.rosserial.frame import (
+    HEADER,
+    MAX_PAYLOAD_BYTES,
+    OVERHEAD_BYTES,
+    SYNC,
+    SYNC_WORD,
+    TOPICS_REQUEST,
+    Frame,
+    Id,
+    byte_sum,
+)
+from hostlink.protocol.rosserial.session import NAME, Session
+from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.protocol.rosserial.topic_table import MAX_TOPICS
 from hostlink.protocol.session import DeviceProtocol, DeviceSession
 
 MAX_HEADS = 8  # false frame starts that are examined, so that the work is bounded
@@ -14,10 +27,12 @@ MAX_HEADS = 8  # false frame starts that are examined, so that the work is bound
 class Rosserial(DeviceProtocol):
     """rosserial, as rosserial_arduino's ros_lib and hostlink's own library speak it."""
 
-    name = "rosserial"
+    name = NAME
     invitation = TOPICS_REQUEST  # a silent device sends its first datagram when its topics are requested
 
-    def session(self, catalog: Catalog, *, uart_bytes_s: int | None, max_topics: int, is_lossy: bool) -> DeviceSession:
+    def session(
+        self, catalog: Catalog, *, uart_bytes_s: int | None = None, max_topics: int = MAX_TOPICS, is_lossy: bool = False
+    ) -> DeviceSession:
         """Create the session of a new connection."""
         check = partial(check_type, catalog)
         return Session(check=check, uart_bytes_s=uart_bytes_s, max_topics=max_topics, is_lossy=is_lossy)
@@ -25,6 +40,11 @@ class Rosserial(DeviceProtocol):
     def is_greeting(self, data: bytes) -> bool:
         """Whether a datagram contains a whole frame."""
         return has_frame(data)
+
+    def host_reader(self) -> Callable[[bytes], int]:
+        """Return a reader of a captured host's bytes, which counts topic requests."""
+        stream = FrameStream(limit_bytes=MAX_PAYLOAD_BYTES)
+        return lambda data: sum(isinstance(each, Frame) and each.topic_id == Id.PUBLISHER for each in stream.feed(data))
 
 
 ROSSERIAL = Rosserial()

@@ -68,6 +68,10 @@ class NonRosserialBytes:
         return True
 
 
+VERSION_1 = events.VersionRefused(
+    "version_1", "the device speaks rosserial of before 2013: rebuild it with a newer library"
+)
+NAME = "rosserial"
 CONTROL_FRAMES = ControlFrames(lambda wall_ns: encode(Id.TIME, encode_time(wall_ns)), TOPICS_REQUEST, STOP_REQUEST)
 
 
@@ -91,7 +95,7 @@ class Session(DeviceSession):
         `check` returns the fixed payload size of a topic's type, or None if it varies; it raises to refuse the topic.
         `is_lossy`: the transport may lose whole frames without a trace, as UDP does.
         """
-        super().__init__(Outbox(CONTROL_FRAMES, uart_bytes_s=uart_bytes_s))
+        super().__init__(NAME, Outbox(CONTROL_FRAMES, uart_bytes_s=uart_bytes_s))
         self.non_rosserial = NonRosserialBytes()
         self._check = check
         self._topics = TopicTable(max_topics)
@@ -493,7 +497,7 @@ class Session(DeviceSession):
         is_protocol_1 = self.non_rosserial.add(data)
         self.foreign = self.non_rosserial.tail
         if is_protocol_1:
-            found.append(events.Protocol1Recognised())
+            found.append(VERSION_1)
 
     # -- negotiation --------------------------------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.endpoint import EndpointKind
 from hostlink.protocol.rosserial.control import encode_topic_info
 from hostlink.protocol.rosserial.frame import encode
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from tests.support.fake_device import topic
 from tests.support.memory_transport import memory_pair
 
@@ -26,7 +27,7 @@ def crowd(hub: Hub) -> None:
     ]
     announced = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
     for _ in range(LINKS):
-        session = hub.links.open(memory_pair()[0]).session
+        session = hub.links.open(memory_pair()[0], ROSSERIAL).session
         session.open(now_s=0.0)
         session.receive(announced, now_s=0.0)
         session.tick(now_s=1.0)

@@ -62,8 +62,8 @@ def test_every_cause_of_the_documents_has_a_text() -> None:
     ("counts", "end", "text"),
     [
         ((0, 0, 0), None, "connected, sent nothing"),
-        ((78, 0, 0), "peer_closed", "sent 78 bytes without a rosserial frame; the connection ended: peer closed"),
-        ((90, 3, 0), None, "connected, sent 3 rosserial frames and announced no topics"),
+        ((78, 0, 0), "peer_closed", "sent 78 bytes without a frame; the connection ended: peer closed"),
+        ((90, 3, 0), None, "connected, sent 3 frames and announced no topics"),
         ((90, 3, 2), None, "connected, announces 2 topics, but no velocity and no odometry of a robot"),
     ],
 )

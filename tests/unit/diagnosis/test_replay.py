@@ -9,9 +9,9 @@ from hostlink.diagnosis.finding import Finding
 from hostlink.diagnosis.replay import replay
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.protocol.registry import find_protocol
 from hostlink.protocol.rosserial.control import encode_topic_info
 from hostlink.protocol.rosserial.frame import Frame, encode
-from hostlink.protocol.rosserial.protocol import check_type
 from hostlink.protocol.rosserial.stream import FrameStream
 
 CAPTURES = Path(__file__).parent.parent.parent / "captures"
@@ -19,7 +19,7 @@ CATALOG = Catalog()
 
 
 def findings(reads: list[Read]) -> list[Finding]:
-    connections = replay(reads, lambda info: check_type(CATALOG, info))
+    connections = replay(reads, find_protocol, CATALOG)
     return [each for connection in connections.values() for each in connection.findings()]
 
 
@@ -84,8 +84,6 @@ def test_topics_are_known_half_a_second_after_the_last_one() -> None:
     )
     announced = Read("device", encode(info.kind, encode_topic_info(info)).hex(), 0.1)
     reads = [Read("device", t=0.0, event="open"), Read("host", "fffe0000ff0000ff", 0.0), announced]
-    (connection,) = replay(
-        [*reads, Read("device", t=2.0, event="close")], lambda info: check_type(CATALOG, info)
-    ).values()
+    (connection,) = replay([*reads, Read("device", t=2.0, event="close")], find_protocol, CATALOG).values()
     assert connection.findings() == []
     assert connection.session.topics == (info,)

@@ -9,6 +9,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.protocol.rosserial.control import encode_topic_info
 from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.protocol.rosserial.protocol import ROSSERIAL
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.ros_lib_device import running_hub
@@ -20,7 +21,7 @@ TIME = encode(Id.TIME, bytes(8))
 
 async def connected(hub: Hub, number: int, tasks: asyncio.TaskGroup) -> MemoryTransport:
     host, device = memory_pair()
-    tasks.create_task(hub.links.serve(hub.links.open(host)))
+    tasks.create_task(hub.links.serve(hub.links.open(host, ROSSERIAL)))
     infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in robot_topics(f"robot_{number}"))
     await device.send(TIME + infos + TIME)
     return device

@@ -10,6 +10,7 @@ from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.protocol.events import Parameter
 from hostlink.protocol.outbox import MAX_REPLIES
 from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.protocol.rosserial.session import VERSION_1
 from hostlink.protocol.rosserial.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 
@@ -248,4 +249,4 @@ def test_protocol_1_is_recognised_for_every_cut(size: int) -> None:
     line = b"\xff\xff" + body + bytes([255 - sum(body) % 256]) + b"x" * 400
     host = Host()
     found = [event for at in range(0, len(line), size) for event in host.receive(line[at : at + size], after_s=0.0)]
-    assert found == [events.Protocol1Recognised()]
+    assert found == [VERSION_1]

@@ -14,7 +14,7 @@ from hostlink.protocol.outbox import OutgoingFrame
 from hostlink.protocol.rosserial.control import Log
 from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.rosserial.negotiation import MAX_PARTS, MAX_SAME_REQUESTS
-from hostlink.protocol.rosserial.session import DEFAULT_BUFFER_BYTES, MOST_FRAMES, Session
+from hostlink.protocol.rosserial.session import DEFAULT_BUFFER_BYTES, MOST_FRAMES, VERSION_1, Session
 from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 
@@ -326,7 +326,7 @@ def test_protocol_1_is_recognised_once() -> None:
     body = b"\x0a\x00\x08\x00" + bytes(8)
     line = b"\xff\xff" + body + bytes([255 - sum(body) % 256])
     found = [event for _ in range(3) for event in host.receive(line)]
-    assert found == [events.Protocol1Recognised()]
+    assert found == [VERSION_1]
 
 
 def test_frame_that_stalls_is_given_up() -> None:
