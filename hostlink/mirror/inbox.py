@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import threading
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Final, Generic, TypeVar
 
@@ -34,14 +34,18 @@ class ThreadInbox(Generic[Item]):
         guarded: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
         counts: Counter[str] | None = None,
         max_waiting: int = MAX_WAITING,
+        needed: Callable[[Sequence[Item]], list[Item]] | None = None,
         is_known: Callable[[Any], bool] = lambda _: True,
     ) -> None:
         """`guarded`: a block around each delivery, which keeps what it raises; `counts`: `dropped` did not fit.
+
+        `needed` returns those of a source's items that still matter, after each `put`, in the thread of `put`.
 
         `is_known`: whether a source has a queue of its own, called in the thread of `put`. It may change at any time.
         """
         self.counts: Counter[str] = Counter() if counts is None else counts
         self._deliver, self._guarded, self._max_waiting, self._is_known = deliver, guarded, max_waiting, is_known
+        self._needed = needed
         self._loop = asyncio.get_running_loop()
         self._lock = threading.Lock()  # other threads put
         self._waiting: OrderedDict[Hashable, deque[tuple[Hashable, Item]]] = OrderedDict()  # sources and their items
@@ -60,6 +64,7 @@ class ThreadInbox(Generic[Item]):
                 return
             self._bytes += _size_bytes(item)
             self._waiting.setdefault(key, deque()).append((source, item))
+            self._drop_needless(source, key)
             if self._is_due:
                 return
             self._is_due = True
@@ -95,6 +100,18 @@ class ThreadInbox(Generic[Item]):
             return SHARED
         self._waiting[source] = deque(own)
         return source
+
+    def _drop_needless(self, source: Hashable, key: Hashable) -> None:
+        if self._needed is None:
+            return
+        queue = self._waiting[key]
+        own = [item for each, item in queue if each == source]
+        needed = {id(item) for item in self._needed(own)}
+        gone = {id(item): item for item in own if id(item) not in needed}
+        if gone:
+            self._waiting[key] = deque(each for each in queue if id(each[1]) not in gone)
+            self._bytes -= sum(map(_size_bytes, gone.values()))
+            self.counts["dropped"] += len(gone)
 
     def _has_room(self, key: Hashable, size_bytes: int) -> bool:
         queue = self._waiting.get(key)

@@ -18,7 +18,7 @@ from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.admission import EarlierMotion, Resumption
-from hostlink.robot.velocity import ZERO, Twist
+from hostlink.robot.newest import is_zero_twist, newest
 
 MAX_SUBSCRIBERS = 64  # of one topic
 
@@ -224,11 +224,11 @@ class _PublisherConnection:
         self._too_large = stream.too_large
         is_resumed = self._topic.is_velocity and self._resumption.is_recent(self.wire.came_s)
         if self._topic.is_velocity and len(messages) > 1:
-            zero = next(filter(_is_zero, reversed(messages[:-1])), None)
-            newest = messages[:1] if is_resumed and zero is None else [] if zero is None else [zero]
-            newest.append(messages[-1])
-            counts.superseded_velocities += len(messages) - len(newest)
-            messages = newest
+            obeyed = newest(messages, is_zero_twist)
+            if is_resumed and len(obeyed) == 1:
+                obeyed = [messages[0], *obeyed]
+            counts.superseded_velocities += len(messages) - len(obeyed)
+            messages = obeyed
         for payload in messages:
             self._publish(payload, participant, type_)
 
@@ -254,14 +254,6 @@ class _PublisherConnection:
         if counts := self._refusals.due(kind, asyncio.get_running_loop().time()):
             log.warning("ros1.message_refused", topic=topic, node=node, kind=kind, reason=reason, **counts)
             self._node.hub.rosout.warn(self._node.name, f"{topic} of {node} is refused ({kind}): {reason}")
-
-
-def _is_zero(payload: bytes) -> bool:
-    """Whether a serialised Twist, or the Twist at the end of a TwistStamped, is zero."""
-    try:
-        return Twist.decode(payload[-len(ZERO.encode()) :]).is_zero
-    except BadPayload:
-        return False
 
 
 def _check(payload: bytes, type_: MessageType) -> None:

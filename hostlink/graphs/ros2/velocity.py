@@ -14,6 +14,7 @@ from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.graphs.ros2.plan import VelocityInput
 from hostlink.log_budget import Budget
 from hostlink.robot.admission import LEASE_S, EarlierMotion
+from hostlink.robot.newest import newest
 from hostlink.robot.velocity import Twist
 
 HEARTBEAT_S = 0.05
@@ -120,7 +121,7 @@ class _Older(NamedTuple):
 
 
 class _WaitingVelocity(NamedTuple):
-    """The newest velocity of a topic, until it is sent."""
+    """Velocity of a topic, until it is sent."""
 
     robot: str
     twist: Twist
@@ -135,7 +136,7 @@ class _Owner:
         self.task: asyncio.Task[None] | None = None
         self._connect, self._priority, self._warn = connect, priority, warn
         self._motions: dict[VelocityInput, EarlierMotion] = {}
-        self._waiting: dict[VelocityInput, _WaitingVelocity] = {}
+        self._waiting: dict[VelocityInput, list[_WaitingVelocity]] = {}
         self._news = asyncio.Event()
         self._refusals: defaultdict[str, Budget] = defaultdict(Budget)  # by robot
         self._since_s = asyncio.get_running_loop().time()
@@ -146,12 +147,14 @@ class _Owner:
         """Take a velocity of the publisher. `older_until_s`: until then a stream may have started earlier."""
         if route not in self._motions:
             self._motions[route] = EarlierMotion() if older_until_s is None else EarlierMotion(older_until_s)
-        epoch, before = self._motions[route].pop_epoch(came_s), self._waiting.get(route)
+        epoch, waiting = self._motions[route].pop_epoch(came_s), self._waiting.get(route, [])
+        before = waiting[-1] if waiting else None
         if before is not None and before.twist.is_planar and not twist.is_planar:
             return  # the daemon would refuse it, and what waits would be lost
         if before is not None and epoch is None:
             epoch = before.epoch  # of the motion that this velocity continues, and which the daemon does not know yet
-        self._waiting[route] = _WaitingVelocity(route.robot, twist, None if twist.is_zero else epoch, came_s)
+        new = _WaitingVelocity(route.robot, twist, None if twist.is_zero else epoch, came_s)
+        self._waiting[route] = newest([*waiting, new], lambda each: each.twist.is_zero)
         self._news.set()
 
     def is_gone(self, *, is_there: bool) -> bool:
@@ -170,7 +173,7 @@ class _Owner:
         """The topic drives this robot no more."""
         if self._motions.pop(route, None) is not None:
             now_s = asyncio.get_running_loop().time()
-            self._waiting[route] = _WaitingVelocity(route.robot, Twist(), None, now_s)
+            self._waiting[route] = [_WaitingVelocity(route.robot, Twist(), None, now_s)]
             self._news.set()
 
     def close(self) -> None:
@@ -197,10 +200,10 @@ class _Owner:
             if changes.pop_all():
                 self.interrupt()
             while self._waiting:
-                waiting = self._waiting.pop(next(iter(self._waiting)))
-                # A first command is fresh to the daemon: without this, one that waited 2 s for its connection drives.
-                if loop.time() < waiting.at_s + LEASE_S:
-                    await self._send(host, waiting)
+                for waiting in self._waiting.pop(next(iter(self._waiting))):
+                    # A first command is fresh to the daemon: one that waited 2 s for its connection would drive.
+                    if loop.time() < waiting.at_s + LEASE_S:
+                        await self._send(host, waiting)
 
     async def _send(self, host: Host, waiting: _WaitingVelocity) -> None:
         """A zero is sent at once, another when the daemon's limit allows it."""

@@ -7,7 +7,7 @@ import re
 import socket
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Container, Mapping
+from collections.abc import AsyncIterator, Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -46,6 +46,7 @@ from hostlink.messages.message_type import ServiceType
 from hostlink.mirror.log_once import LogOnce
 from hostlink.mirror.mirror import Mirror
 from hostlink.robot.admission import EarlierMotion
+from hostlink.robot.newest import TWIST_BYTES, is_zero_twist, newest
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 GROUP = "rmw_zenoh"  # of all participants that stand for this graph
@@ -263,7 +264,6 @@ OWN_TOPICS = frozenset({"/rosout", "/parameter_events"})  # that every node of R
 MAX_NESTED_BYTES = 32 * 1024  # of a message with lists of messages or texts, each of which costs time
 MAX_FLAT_BYTES = 1024 * 1024
 MAX_WAITING = 64  # messages of one publisher
-TWIST_BYTES = 48  # at the end of a TwistStamped
 
 log = structlog.get_logger()
 
@@ -424,6 +424,10 @@ class SubscriptionSpec:
         return Qos(is_latched=self.has_history)
 
 
+def _newest_samples(waiting: Sequence[ZenohSample]) -> list[ZenohSample]:
+    return newest(waiting, lambda sample: is_zero_twist(sample.payload))  # a Twist in CDR is its numbers, too
+
+
 class RmwSubscription:
     """Subscription in ROS 2 whose messages are published in the hub."""
 
@@ -444,7 +448,8 @@ class RmwSubscription:
             source_of=lambda sample: sample.attachment[-GID_BYTES:],
             is_known=publishers.is_known,
             max_bytes=MAX_FLAT_BYTES if type_.is_flat else MAX_NESTED_BYTES,
-            max_waiting=1 if wanted.is_velocity else MAX_WAITING,
+            max_waiting=MAX_WAITING,
+            needed=_newest_samples if wanted.is_velocity else None,
             has_history=wanted.has_history,
         )
 

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import functools
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Hashable
+from collections.abc import AsyncIterator, Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -148,18 +148,18 @@ class ZenohSession:
         is_known: Callable[[Any], bool] = lambda _: True,
         max_bytes: int = MAX_PAYLOAD_BYTES,
         max_waiting: int = MAX_WAITING,
+        needed: Callable[[Sequence[ZenohSample]], list[ZenohSample]] | None = None,
         has_history: bool = False,
     ) -> Declaration:
         """Call `receive` for each sample of others that fits in `max_bytes`; not for those of this session.
 
         `source_of`: in whose queue a sample waits, and `is_known`: whether that source has one of its own, both called
-        in a thread; `max_waiting`: samples in each queue, the oldest is dropped; `has_history`: kept messages arrive
-        first.
+        in a thread; `max_waiting`, `needed`: as in ThreadInbox; `has_history`: kept messages arrive first.
 
         Raises:
             ConfigError: the session is closed, or the key expression is invalid.
         """
-        inbox = self.inbox(receive, max_waiting=max_waiting, is_known=is_known)
+        inbox = self.inbox(receive, max_waiting=max_waiting, needed=needed, is_known=is_known)
 
         def put(sample: Any) -> None:
             with self.guarded("receive"):
@@ -295,6 +295,7 @@ class ZenohSession:
         deliver: Callable[[Any], None],
         *,
         max_waiting: int = MAX_WAITING,
+        needed: Callable[[Sequence[Any]], list[Any]] | None = None,
         is_known: Callable[[Any], bool] = lambda _: True,
     ) -> ThreadInbox[Any]:
         """A queue from Zenoh's threads to the loop."""
@@ -303,6 +304,7 @@ class ZenohSession:
             guarded=lambda: self._isolation.around("graph", graph="zenoh"),
             counts=self.counts,
             max_waiting=max_waiting,
+            needed=needed,
             is_known=is_known,
         )
 

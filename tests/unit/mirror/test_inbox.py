@@ -43,6 +43,21 @@ async def test_flooding_source_loses_only_its_own_oldest_items() -> None:
     assert counts["dropped"] == 990
 
 
+async def test_only_needed_items_of_a_source_wait() -> None:
+    received: list[int] = []
+    counts: Counter[str] = Counter()
+    inbox = ThreadInbox(
+        received.append, counts=counts, needed=lambda waiting: waiting[-1:], is_known=lambda source: source != "shared"
+    )
+    for number in range(5):
+        inbox.put("a", number)
+        inbox.put("shared", -number)
+        inbox.put("b", 10 + number)
+    await settled()
+    assert sorted(received) == [-4, 4, 14]
+    assert counts["dropped"] == 12
+
+
 async def test_sources_take_turns() -> None:
     received: list[str] = []
     inbox = ThreadInbox(received.append)

@@ -241,7 +241,7 @@ async def test_velocity_that_waited_a_lease_for_its_connection_is_not_sent(conne
 
 
 @virtual
-async def test_zero_in_the_place_of_an_earlier_velocity_ends_the_earlier_motion() -> None:
+async def test_zero_that_waits_before_a_velocity_is_sent_and_ends_the_earlier_motion() -> None:
     world = World()
     world.driver.update([], frozenset({b"a"}))
     world.driver.update(["robot_0"], frozenset({b"a"}))
@@ -249,7 +249,7 @@ async def test_zero_in_the_place_of_an_earlier_velocity_ends_the_earlier_motion(
         for velocity in (FORWARD, STANDING, FORWARD):
             world.driver.receive(ROUTE, velocity, b"a")
         await asyncio.sleep(0.1)
-        assert world.daemon.commands == [("robot_0", FORWARD, None)]
+        assert world.daemon.commands == [("robot_0", STANDING, None), ("robot_0", FORWARD, None)]
 
 
 @pytest.mark.parametrize("is_restart", [False, True], ids=["device", "bridge"])

@@ -271,6 +271,38 @@ def test_velocity_of_ros_2_drives_and_ends_with_its_token(type_name: str) -> Non
     with_bridge(test)
 
 
+def test_zero_among_velocities_that_arrive_together_is_not_skipped() -> None:
+    """After a stop, only a zero lets its publisher drive again."""
+
+    async def test(world: World) -> None:
+        known, ros2 = CATALOG.message("geometry_msgs/Twist"), TYPES.message("geometry_msgs/Twist")
+        assert known is not None
+        assert ros2 is not None
+        await asyncio.sleep(rmw_bridge.MATCH_S)
+        _, token = world.declare(TokenKind.PUBLISHER, CMD_VEL, TWIST, ros2.type_hash)
+        await asyncio.sleep(0.1)
+
+        def send(*speeds: float) -> None:
+            for speed in speeds:
+                numbers.append(speed)
+                attachment = Attachment(len(numbers), int(1e12), gid_of(token)).encode()
+                payload = ros2.to_cdr(known.encode({"linear": {"x": speed}}))
+                world.ros2.put(data_key(0, CMD_VEL, TWIST, ros2.type_hash), payload, attachment=attachment)
+
+        numbers: list[float] = []
+        send(0.25)
+        await asyncio.sleep(0.05)
+        world.scene.hub.robots.find_here(ROBOT).stop(by="a test")
+        send(0.25)
+        await asyncio.sleep(0.05)
+        assert world.scene.speeds()[-1] == 0.0
+        send(0.1, 0.0, 0.25)
+        await asyncio.sleep(0.05)
+        assert world.scene.speeds()[-1] == 0.25
+
+    with_bridge(test)
+
+
 def test_type_with_another_hash_in_ros_2_is_logged_once() -> None:
     async def test(world: World) -> None:
         with capture_logs() as logs:
