@@ -3,7 +3,7 @@
 import asyncio
 import re
 from collections import Counter
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 from hostlink.graphs.zenoh.session import Declaration, Query, Token, ZenohSample
@@ -72,10 +72,11 @@ class MemorySession:
         source_of: Callable[[ZenohSample], Hashable] = lambda _: "",
         is_known: Callable[[Any], bool] = lambda _: True,
         max_waiting: int = MAX_WAITING,
+        needed: Callable[[Sequence[ZenohSample]], list[ZenohSample]] | None = None,
         has_history: bool = False,
         **_: Any,
     ) -> Declaration:
-        inbox = ThreadInbox(receive, max_waiting=max_waiting, is_known=is_known)
+        inbox = ThreadInbox(receive, max_waiting=max_waiting, needed=needed, is_known=is_known)
 
         def put(sample: ZenohSample) -> None:
             inbox.put(source_of(sample), sample)
