@@ -17,7 +17,6 @@ from hostlink.robot.model import (
     Endpoint,
     RobotTopicNames,
     find_robot,
-    leaf_of,
     select,
 )
 from hostlink.robot.parts import Membership, place_in, takes_velocity
@@ -341,7 +340,7 @@ def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None
             del names[key]
 
 
-_MARK, _MARK_TYPE = "played", "std_msgs/String"  # a topic of a recording that is played as a device
+_PLAYED_TYPE = "hostlink/PlayedRecording"  # of a topic that only a recording has which is played as a device
 
 LATE_S = 0.1  # what was on its way when the other device announced its topics
 AGAIN_S = 10.0  # two that count each other as dead, because their loops are slow, do so within a few seconds
@@ -640,6 +639,4 @@ class Directory:
 
 def is_played(endpoints: Sequence[Endpoint]) -> bool:
     """Whether it is a recording that is played: it says so by a topic."""
-    return any(
-        each.type_name == _MARK_TYPE and not each.is_to_device and leaf_of(each.name) == _MARK for each in endpoints
-    )
+    return any(each.type_name == _PLAYED_TYPE and not each.is_to_device for each in endpoints)

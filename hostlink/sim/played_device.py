@@ -16,8 +16,7 @@ READ_BYTES = 4096
 TIME_INTERVAL_S = 2.5  # as the original library: a host expects time requests of a working device
 RECONNECT_S = 0.5
 BUFFER_BYTES = 65535
-_PLAYED, _STRING = "played", "std_msgs/String"
-_STRING_MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
+_PLAYED, _MARK_TYPE, _MARK_MD5 = "played", "hostlink/PlayedRecording", "992ce8a1687cec8c8bd883ec73ca41d1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +33,8 @@ class PlayedTopic:
 class PlayedDevice:
     """Device of one recorded robot. `run` keeps it connected; the player of the recording calls `publish`.
 
-    In addition to the robot's topics it publishes `<robot>/played` (std_msgs/String, the recording's name), which marks
-    the device as a recording.
+    In addition to the robot's topics it publishes `<robot>/played` with the recording's name. The topic's type,
+    hostlink/PlayedRecording, marks the device as a recording: no board has it.
     """
 
     robot: str
@@ -51,7 +50,7 @@ class PlayedDevice:
 
     def __post_init__(self) -> None:
         self._mark = f"/{self.robot}/{_PLAYED}"
-        mark = PlayedTopic(self._mark, _STRING, _STRING_MD5, is_velocity=False)
+        mark = PlayedTopic(self._mark, _MARK_TYPE, _MARK_MD5, is_velocity=False)
         if not _is_taken(mark):  # a file may have any names; without the mark, a host may take the device for a robot
             self._mark = f"/{_PLAYED}"
             mark = replace(mark, name=self._mark)

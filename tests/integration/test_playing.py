@@ -48,7 +48,7 @@ def is_driven(host: Daemon) -> bool:
 
 
 async def test_the_demo_drives_its_own_robots_and_no_board_or_recording_that_connects_too() -> None:
-    mark = topic(EndpointKind.PUBLISHER, 130, "/played/played", "std_msgs/String")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/played/played", "hostlink/PlayedRecording")
     played = [*robot_topics("played"), mark]
     own: dict[str, SocketAddress] = {}
     async with (
@@ -139,7 +139,7 @@ async def test_a_message_that_no_device_can_send_is_left_out(
     assert capsys.readouterr().err.endswith("3 messages played, 1 left out\n")
 
 
-MARK = topic(EndpointKind.PUBLISHER, 130, "/joystick/played", "std_msgs/String")
+MARK = topic(EndpointKind.PUBLISHER, 130, "/joystick/played", "hostlink/PlayedRecording")
 TO_ANOTHER = topic(EndpointKind.PUBLISHER, 131, "/robot_0/velocity_commands", "geometry_msgs/Twist")
 
 
@@ -164,7 +164,7 @@ async def test_robot_that_connects_takes_its_name_from_the_played_robot(tmp_path
 
 
 async def test_played_robot_is_marked_as_played_until_the_robot_itself_connects() -> None:
-    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "hostlink/PlayedRecording")
     async with daemon() as host:
         async with fake_device(host.tcp, [*robot_topics(), mark]):
             await expect(lambda: host.hub.robots.has("robot_0") and host.hub.robots.find("robot_0").is_played)

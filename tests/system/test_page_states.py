@@ -46,7 +46,7 @@ async def test_page_without_a_robot_shows_how_to_get_one_and_that_one_is_gone(br
 
 
 async def test_played_robot_is_named_a_recording_instead_of_its_driver(browser: Browser) -> None:
-    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "hostlink/PlayedRecording")
     async with (
         daemon() as host,
         visit(browser, host.url) as tab,

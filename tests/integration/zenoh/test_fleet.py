@@ -142,7 +142,7 @@ async def test_stream_that_continued_through_a_restart_of_the_robots_daemon_does
 
 
 async def test_remote_played_robot_is_marked_as_played() -> None:
-    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_7/played", "hostlink/PlayedRecording")
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, [*robot_topics("robot_7"), mark]):
         await shown(a, "robot_7")
         await expect(lambda: a.hub.robots.remote["robot_7"].known.is_played)

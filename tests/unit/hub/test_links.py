@@ -23,7 +23,7 @@ from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.scripted_device import ScriptedDevice
 
 SLOW = PlanarVelocity(0.1)
-MARK = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
+MARK = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "hostlink/PlayedRecording")
 SENSOR = [topic(EndpointKind.PUBLISHER, 125, "/imu", "std_msgs/Bool")]
 
 

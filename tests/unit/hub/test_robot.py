@@ -110,7 +110,9 @@ async def test_reason_why_a_robot_moves_names_the_driver_then_the_ramp(made: Mem
 
 @inside(in_hub)
 async def test_reason_why_a_moving_robot_ignores_a_stop_is_its_recording(made: MemoryHub) -> None:
-    await made.connect([*robot_topics(), topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")])
+    await made.connect(
+        [*robot_topics(), topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "hostlink/PlayedRecording")]
+    )
     drive_gate(made.robot(), PlanarVelocity(0.5), owner="ann")
     assert made.robot().why_moving() == "it is a recording, which obeys nobody"
 

@@ -218,7 +218,7 @@ async def test_incident_of_a_killed_daemon_is_saved_by_the_next_with_its_last_co
 
 async def test_locking_driving_and_ending_a_played_robot_makes_no_incident(tmp_path: Path) -> None:
     async with running(tmp_path, BlackBoxConfig()) as (hub, box):
-        mark = topic(EndpointKind.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
+        mark = topic(EndpointKind.PUBLISHER, 130, "/robot_7/played", "hostlink/PlayedRecording")
         played = ScriptedDevice(hub, [*robot_topics("robot_7"), mark], address="10.0.0.7")
         await expect(lambda: hub.robots.get_here("robot_7"))
         robot = hub.robots.find_here("robot_7")

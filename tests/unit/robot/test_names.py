@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hostlink.robot.command_types import TopicType
 from hostlink.robot.model import CommandKind, CommandSettings, Endpoint, RobotTopicNames, find_robot
-from hostlink.robot.names import ANSWER_S, SURE_S, Accepted, Directory, Origin, Places, Undecided
+from hostlink.robot.names import ANSWER_S, SURE_S, Accepted, Directory, Origin, Places, Undecided, is_played
 from hostlink.robot.parts import Membership
 from hostlink.robot.velocity import TWIST_TYPE
 
@@ -605,7 +605,14 @@ def test_a_name_that_is_both_is_a_velocity() -> None:
 
 
 def played(name: str = "robot_0") -> list[Endpoint]:
-    return [*paper_robot(name), from_device(f"/{name}/played", "std_msgs/String")]
+    return [*paper_robot(name), from_device(f"/{name}/played", "hostlink/PlayedRecording")]
+
+
+def test_board_with_a_topic_named_played_is_a_robot() -> None:
+    ours = directory()
+    topics = [*paper_robot(), from_device("/robot_0/played", "std_msgs/String")]
+    assert not is_played(topics)
+    assert accepted(ours, 1, HOME, topics) == ("robot_0", None)
 
 
 def test_a_recording_has_the_name_of_a_robot_that_was_never_there() -> None:
