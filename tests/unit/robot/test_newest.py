@@ -1,4 +1,4 @@
-"""Which of the velocities that wait still matter."""
+"""Velocities that wait: the newest, and the newest zero before it, matter."""
 
 import math
 
