@@ -389,24 +389,32 @@ class Robots:
     def regroup(self, name: str) -> LocalRobot | None:
         """Find the parts of a robot of several devices anew, after one of them came, left or has other topics.
 
-        Return the robot; None if it has never been commanded.
+        While one is missing, no velocity topic of the others is driven. Return the robot; None if it has never been
+        commanded.
         """
         robot = self._robots.get(name)
-        if robot is None:
-            return None
         members = {
             device.member.place: device
             for device in self.devices.values()
             if device.member is not None and device.member.robot == name and not device.is_undecided
         }
-        if not robot.config.devices:  # no longer of several
+        config = self.config_of(name) if robot is None else robot.config
+        endpoints = {place: device.endpoints for place, device in members.items()}
+        parts = parts_of(name, command_settings(config), endpoints)
+        if robot is None:
+            self._note_missing(name, [each for device in members.values() for each in device.drivables], parts.why_not)
+            return None
+        if not config.devices:  # no longer of several
             self._note_parts(robot, (), None)
             self._gates.note_missing([robot], "")
             return robot
-        endpoints = {place: device.endpoints for place, device in members.items()}
-        parts = parts_of(name, command_settings(robot.config), endpoints)
         self._note_parts(robot, tuple(each for each in members.values() if each is not robot.connection), None)
-        self._note_missing(robot, parts.why_not)
+        before = robot.admission.missing
+        self._note_missing(name, robot.beside, parts.why_not)
+        if parts.why_not and parts.why_not != before:
+            log.warning("robot.incomplete", robot=name, reason=parts.why_not)
+        elif before and not parts.why_not:
+            log.info("robot.complete", robot=name)
         self._read_parts(robot, parts, members)
         for drivable in robot.beside:
             reason = robot.gate.lock_reason
@@ -422,13 +430,13 @@ class Robots:
             device.read_for(None)
         robot.parts, robot.feedback_links = parts, links
 
-    def _note_missing(self, robot: LocalRobot, why_not: str) -> None:
-        before = robot.admission.missing
-        if why_not and why_not != before:
-            log.warning("robot.incomplete", robot=robot.name, reason=why_not)
-        elif before and not why_not:
-            log.info("robot.complete", robot=robot.name)
-        self._gates.note_missing([each for each in robot.beside if each.admission is robot.admission], why_not)
+    def _note_missing(self, name: str, drivables: Iterable[Drivable], why_not: str) -> None:
+        """Note for each velocity topic of a robot's devices why the robot cannot be driven; empty: it can."""
+        own, others = list[Drivable](), list[Drivable]()
+        for drivable in drivables:
+            (own if drivable.name == name else others).append(drivable)
+        self._gates.note_missing(own, why_not)
+        self._gates.note_missing(others, why_not and f"robot {name}: {why_not}")
 
     def _read_parts(self, robot: LocalRobot, parts: Parts, members: dict[str, Device]) -> None:
         """Read the robot's feedback from the devices that send it."""
