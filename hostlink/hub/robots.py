@@ -7,7 +7,7 @@ import itertools
 import math
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import structlog
@@ -256,26 +256,30 @@ class Robots:
         """
         if self._gates.hosts is not None:
             self._gates.hosts.lock(None, shown_reason(reason))
-        return self._lock((robot.lock for robot in self.all()), reason, by=by)
+        return self._lock({robot: robot.lock for robot in self.all()}, reason, by=by)
 
     def lock_all_here(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
         """Lock every robot and every board of this daemon; as `lock_all`."""
-        return self._lock((robot.lock_here for robot in self.here()), reason, by=by)
+        return self._lock({robot: robot.lock_here for robot in self.here()}, reason, by=by)
 
-    def _lock(self, robots: Iterable[Callable[..., None]], reason: str, *, by: str | None) -> list[CommandEndpoint]:
-        """Lock the boards here, and robots by these methods."""
+    def _lock(
+        self, robots: Mapping[AnyRobot, Callable[..., None]], reason: str, *, by: str | None
+    ) -> list[CommandEndpoint]:
+        """Lock the boards here, and robots by these methods, which also stop what else the robots' devices take."""
         self.boards.lock(shown_reason(reason), loop_time_s(), by=by)
         log.warning("robots.all_locked", reason=self.boards.lock_reason)
         refusal = None
-        for lock in robots:
+        for lock in robots.values():
             try:
                 lock(reason, by=by)
             except HostlinkError as error:
                 refusal = error
         with contextlib.suppress(HostlinkError):  # it is named below
             self._gates.lock(self._without_robot(), self.boards.lock_reason or reason, by=by)
+        of_robots = {device for robot in robots if isinstance(robot, LocalRobot) for device in robot.devices}
         for device in self.devices.values():
-            device.stop_unguarded()
+            if device not in of_robots:
+                device.stop_unguarded()
         if refusal is not None:
             raise refusal
         return self.endpoints()
