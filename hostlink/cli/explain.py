@@ -15,12 +15,13 @@ KNOWN_BY = {"pose": "pose", "velocity": "velocity", "motion": "whether it moves"
 
 def explanation(devices: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return why each device is a robot or is not one."""
-    return [line for device in devices for line in _of_device(device)]
+    given = dict[str, str]()
+    return [line for device in devices for line in (*_of_device(device), *_advice(device, given))]
 
 
 def warnings(devices: Iterable[Mapping[str, Any]], lock_reason: str | None) -> list[str]:
     """Return what a list of robots must not hide: topics that nothing guards, refused settings, a lock of all."""
-    lines = []
+    lines, given = list[str](), dict[str, str]()
     for device in devices:
         place = _place(device)
         if device["refused"]:
@@ -29,6 +30,10 @@ def warnings(devices: Iterable[Mapping[str, Any]], lock_reason: str | None) -> l
             )
         if device["unguarded"]:
             topics = ", ".join(each["topic"] for each in device["unguarded"])
+            first = given.setdefault(device["suggestion"], place)
+            if first != place:
+                lines.append(f"nothing guards {topics} of {place}; the lines of {first} are for it, too")
+                continue
             lines.append(f"nothing guards {topics} of {place}; in hostlink.toml:")
             lines += [f"  {line}" for line in device["suggestion"].splitlines()]
     if lock_reason is not None:
@@ -62,6 +67,16 @@ def _of_device(device: Mapping[str, Any]) -> Iterator[str]:
             yield f"  {text}: {', '.join(named[role])}"
     if device["settings"] is not None:
         yield f"  settings: [robots.{device['settings']}] in hostlink.toml"
-    if device["suggestion"]:
-        yield "  to change that, put these lines into hostlink.toml, and run `hostlink reload`:"
-        yield from (f"    {line}" for line in device["suggestion"].splitlines())
+
+
+def _advice(device: Mapping[str, Any], given: dict[str, str]) -> Iterator[str]:
+    """Yield the lines for hostlink.toml. `given`: the devices that got lines; a table of TOML may be there once."""
+    if not device["suggestion"]:
+        return
+    place = _place(device)
+    first = given.setdefault(device["suggestion"], place)
+    if first != place:
+        yield f"  to change that, the lines of {first} are for it, too"
+        return
+    yield "  to change that, put these lines into hostlink.toml, and run `hostlink reload`:"
+    yield from (f"    {line}" for line in device["suggestion"].splitlines())

@@ -210,6 +210,10 @@ class Robots:
         """Return the robot of this daemon with this name; None if it does not exist."""
         return self._robots.get(name)
 
+    def taken_names(self) -> set[str]:
+        """Return the names that no other device should be given: of configured and of connected robots."""
+        return {*self._configs, *(robot.name for robot in self._robots.values() if robot.connection is not None)}
+
     def is_known(self, robot: AnyRobot) -> bool:
         """Whether a robot is not forgotten."""
         return robot in (self._robots.get(robot.name), self.remote.get(robot.name))

@@ -1,14 +1,19 @@
 """`hostlink robots`: how a robot is known, what nothing guards, and why a device is a robot or not."""
 
+import asyncio
 import json
+import re
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from hostlink.cli.check import check
 from hostlink.cli.robots import _robots
 from hostlink.client import Host
-from hostlink.config import Config, RobotConfig, WheelsConfig
+from hostlink.config import ApiConfig, Config, RobotConfig, TcpConfig, WheelsConfig, load
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from tests.support.background import cancelling
@@ -107,3 +112,51 @@ def test_explanation_as_json_is_the_answer_of_the_daemon(capsys: pytest.CaptureF
         ["unguarded"] * 2,
     )
     assert [each["topic"] for each in device["unguarded"]] == ["/l_motor", "/r_motor"]
+
+
+LED = topic(Id.SUBSCRIBER, 130, "/led", "std_msgs/Int16")
+FOO = topic(Id.SUBSCRIBER, 100, "foo", "geometry_msgs/Twist")
+SAID = topic(Id.SUBSCRIBER, 100, "/foo/cmd", "std_msgs/String")
+CONFIGURED = Config(robots={"foo": RobotConfig(address="10.0.9.9")})
+SEVERAL = Config(robots={"duo": RobotConfig(devices=("10.0.0.2", "10.0.0.3"))})
+
+
+@pytest.mark.parametrize(
+    ("boards", "config", "names"),
+    [
+        ([("10.0.0.2", [FOO]), ("10.0.0.2", [FOO, LED])], Config(), {"foo": "10.0.0.2"}),
+        ([("10.0.0.2", [FOO]), ("10.0.0.3", [FOO])], Config(), {"foo": "10.0.0.2", "foo_2": "10.0.0.3"}),
+        ([("10.0.0.2", [FOO])], CONFIGURED, {"foo_2": "10.0.0.2"}),
+        ([("10.0.0.2", [FOO]), ("10.0.0.2", [SAID])], Config(), {"foo": "10.0.0.2", "foo_2": "10.0.0.2:7001"}),
+        ([("10.0.0.2", [CAR, MOTORS[0]]), ("10.0.0.3", [MOTORS[1]])], SEVERAL, {"duo": None}),
+    ],
+)
+@pytest.mark.parametrize("is_explained", [True, False])
+def test_lines_to_copy_are_together_a_settings_file(
+    boards: list[tuple[str, list[TopicInfo]]],
+    config: Config,
+    names: dict[str, str | None],
+    is_explained: bool,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    async def test(made: MemoryHub) -> None:
+        for number, (address, infos) in enumerate(boards):
+            await made.connect(infos, address=address, peer=f"{address}:{7000 + number}")
+        await asyncio.sleep(1.0)
+        async with cancelling() as tasks, memory_host(made.hub, tasks) as connected:
+            host: Host = connected
+            await _robots(host, is_explained=is_explained, json=False)
+
+    in_hub(test, config)
+    captured = capsys.readouterr()
+    text = captured.out if is_explained else captured.err
+    is_line = re.compile(r" +(\[robots|[a-z_]+ = )")
+    path = tmp_path / "hostlink.toml"
+    path.write_text("\n".join(line for line in text.splitlines() if is_line.match(line)))
+    found = load(path)
+    assert {name: robot.address for name, robot in found.robots.items()} == names
+    asyncio.run(check(replace(found, api=ApiConfig(port=0), tcp=TcpConfig(host="127.0.0.1", port=0)), descriptors=1024))
+    if "duo" in names:
+        assert set(found.robots["duo"].locked_topics) == {"/l_motor", "/r_motor"}
+    assert (re.search(r"the lines of link 1 \(.*\) are for it, too", text) is not None) is (len(boards) > len(names))
