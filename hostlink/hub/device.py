@@ -245,6 +245,14 @@ class Device:
         """Topics that the device sends, by its own names."""
         return [TopicType(info.name, info.type) for info in self.infos if info.kind is Id.PUBLISHER]
 
+    @property
+    def read_topics(self) -> list[tuple[str, str]]:
+        """Topics by which its robot's motion is known and that come from this device, by own name and type."""
+        robot = self._robot
+        if robot is None:
+            return []
+        return [(info.name, info.type) for info in self.infos if info.kind is Id.PUBLISHER and self._reads(info, robot)]
+
     def read_for(self, robot: LocalRobot | None) -> None:
         """Read the topics of a robot's feedback that come from this device, one of several of the robot's."""
         self._end_odometry()
