@@ -47,7 +47,7 @@ from hostlink.robot.kinematics import WHEELS_NEED, AckermannDrive, Drive, drive_
 from hostlink.robot.model import CommandKind, CommandSettings, RobotTopicNames
 from hostlink.robot.names import SURE_S
 from hostlink.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, aged_rate_hz
-from hostlink.robot.readings import OdometryReading
+from hostlink.robot.readings import Flaw, OdometryReading
 from hostlink.robot.ros_messages import FrameIds
 from hostlink.robot.standstill import NO_ODOMETRY, OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
@@ -597,6 +597,8 @@ class LocalRobot(Drivable, AnyRobot):
         stamp_ns = message.stamp_ns
         if reading.stamp_ns is not None and link is not None:  # by the device's clock
             stamp_ns = link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
+        if Flaw.SENT_BACK in reading.flaws:  # so were the poses before, by which that is known
+            odometry.withdraw()
         odometry.update(
             reading.pose,
             now_s=message.at_s,
@@ -677,6 +679,10 @@ class RemoteOdometry:
         self.count = 0
         self._newest: OdometrySnapshot | None = None
         self._at_s = 0.0
+
+    def withdraw(self) -> None:
+        """Drop the newest pose: the other daemon has dropped it, too."""
+        self._newest = None
 
     def update(self, newest: OdometrySnapshot, now_s: float) -> bool:
         """Set the newest pose. Return whether it differs from the one before."""
@@ -819,7 +825,9 @@ class RemoteRobot(AnyRobot):
         self.known = known
         self.admission.lease_s = known.lease_s
         self.note_epoch(epoch, lock_reason=known.lock_reason)
-        if known.odometry is not None and self.odometry.update(known.odometry, loop_time_s()):
+        if known.odometry is None:
+            self.odometry.withdraw()
+        elif self.odometry.update(known.odometry, loop_time_s()):
             for follow in tuple(self.followers.values()):
                 follow(None)
 
