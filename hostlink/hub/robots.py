@@ -407,20 +407,23 @@ class Robots:
             if device.member is not None and device.member.robot == name and not device.is_undecided
         }
         config = self.config_of(name) if robot is None else robot.config
+        if not config.devices:  # no longer of several
+            if robot is not None:
+                self._note_parts(robot, (), None)
+                self._gates.note_missing([robot], "")
+            return robot
         endpoints = {place: device.endpoints for place, device in members.items()}
         parts = parts_of(name, command_settings(config), endpoints)
         if robot is None:
             self._note_missing(name, [each for device in members.values() for each in device.drivables], parts.why_not)
             return None
-        if not config.devices:  # no longer of several
-            self._note_parts(robot, (), None)
-            self._gates.note_missing([robot], "")
-            return robot
         self._note_parts(robot, tuple(each for each in members.values() if each is not robot.connection), None)
         before = robot.admission.missing
         self._note_missing(name, robot.beside, parts.why_not)
         if parts.why_not and parts.why_not != before:
             log.warning("robot.incomplete", robot=name, reason=parts.why_not)
+            for device in robot.devices:
+                device.stop_unguarded()
         elif before and not parts.why_not:
             log.info("robot.complete", robot=name)
         self._read_parts(robot, parts, members)

@@ -195,13 +195,19 @@ def test_every_velocity_topic_of_the_robot_stops_when_one_of_its_boards_leaves()
         events: list[RobotEvent] = []
         made.hub.events.observe("test", events.append)
         _, wheels = await connected(made, wheels=POSE)
-        arm = await made.connect([topic(Id.SUBSCRIBER, 101, "other/cmd_vel", "geometry_msgs/Twist")], address=ARM)
+        infos = [
+            topic(Id.SUBSCRIBER, 101, "other/cmd_vel", "geometry_msgs/Twist"),
+            topic(Id.SUBSCRIBER, 102, "other/left_motor", "std_msgs/Int16"),
+        ]
+        arm = await made.connect(infos, address=ARM)
         await asyncio.sleep(1.0)
         publish = publisher_of(made, "/other/cmd_vel")
         await publish_for(publish, 0.5)
         assert velocities(arm, 101)[-1] == (0.2, 0.0)
+        made.hub.join("program").publish("/other/left_motor", struct.pack("<h", 50))
         await wheels.aclose()
         await publish_for(publish, 0.5)
+        assert arm.payloads(102)[-2:] == [struct.pack("<h", 50), bytes(2)]  # nothing guards it: it gets a zero
         assert velocities(arm, 101)[-1] == (0.0, 0.0)
         missing = f"robot r: its device {WHEELS} is not connected"
         assert [each.facts["reason"] for each in events if each.kind is EventKind.STOPPED] == [missing]
