@@ -98,5 +98,7 @@ def _advice(device: Mapping[str, Any], given: dict[str, str]) -> Iterator[str]:
     if first != place:
         yield f"  to change that, the lines of {first} are for it, too"
         return
-    yield "  to change that, put these lines into hostlink.toml, and run `hostlink reload`:"
+    is_there = device["suggestion"].startswith(f"[robots.{device['settings']}]\n")
+    place = f"the table [robots.{device['settings']}] of hostlink.toml" if is_there else "hostlink.toml"
+    yield f"  to change that, put these lines into {place}, and run `hostlink reload`:"
     yield from (f"    {line}" for line in device["suggestion"].splitlines())

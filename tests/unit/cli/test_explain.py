@@ -159,6 +159,7 @@ def test_lines_to_copy_are_together_a_settings_file(
     asyncio.run(check(replace(found, api=ApiConfig(port=0), tcp=TcpConfig(host="127.0.0.1", port=0)), descriptors=1024))
     if "duo" in names:
         assert set(found.robots["duo"].locked_topics) == {"/l_motor", "/r_motor"}
+        assert ("put these lines into the table [robots.duo] of hostlink.toml" in text) is is_explained
     assert (re.search(r"the lines of link 1 \(.*\) are for it, too", text) is not None) is (len(boards) > len(names))
 
 
