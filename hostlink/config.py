@@ -219,7 +219,7 @@ class WheelsConfig:
     unit: Literal["rad_s", "m_s", "rpm", "ticks_s", "pwm"] = "m_s"
     directions: tuple[float, ...] = ()  # 1 or -1 for each wheel; empty: all forwards
     ticks_per_turn: float = 0.0  # of unit = "ticks_s"
-    full: float = 255.0  # of unit = "pwm": the number at the robot's fastest wheel speed
+    full: float = 255.0  # of unit = "pwm": added to `rest` at the robot's fastest wheel speed, 500 of an ESC
     rest: float = 0.0  # number at rest, for example 1500 of an ESC
 
     def __post_init__(self) -> None:
@@ -233,8 +233,10 @@ class WheelsConfig:
             raise ValueError('wheels.unit "ticks_s" needs ticks_per_turn above zero')
         if not all(abs(each) == 1 for each in self.directions):
             raise ValueError("wheels.directions must be 1 or -1 for each wheel")
-        if self.full == 0:
-            raise ValueError("wheels.full must not be zero")
+        if not 0 < self.full < math.inf:
+            advice = "; a wheel that turns the other way has -1 in wheels.directions" if self.full < 0 else ""
+            raise ValueError(f"wheels.full must be a finite number above zero, not {self.full:g}{advice}")
+        _check_range("wheels.full", self.full, "wheels.rest", self.rest, is_bounded=self.unit == "pwm")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,16 +245,43 @@ class ThrottleConfig:
 
     topics: tuple[str, ...]  # throttle, steering
     unit: Literal["m_s", "pwm"] = "m_s"  # of the throttle
-    full: float = 255.0  # of unit = "pwm": the number at the highest speed
+    full: float = 255.0  # of unit = "pwm": added to `rest` at the highest speed; below zero: it is reversed
     rest: float = 0.0  # of the throttle
-    steering_full: float | None = None  # number at max_steering_rad to the left; None: the angle in rad
+    steering_full: float | None = None  # added to steering_rest at max_steering_rad to the left; None: the angle in rad
     steering_rest: float = 0.0  # number straight ahead
 
     def __post_init__(self) -> None:
         if not len(self.topics) == len(set(self.topics)) == _PAIR:
             raise ValueError('throttle.topics must be two, for example ["throttle", "steering"]')
-        if self.full == 0 or self.steering_full == 0:
-            raise ValueError("throttle.full and steering_full must not be zero")
+        full, steering_full = self.full, self.steering_full
+        _check_range("throttle.full", full, "throttle.rest", self.rest, is_bounded=self.unit == "pwm")
+        _check_range(
+            "throttle.steering_full",
+            1.0 if steering_full is None else steering_full,
+            "throttle.steering_rest",
+            self.steering_rest,
+            is_bounded=steering_full is not None,
+        )
+
+
+def _check_range(full_name: str, full: float, rest_name: str, rest: float, *, is_bounded: bool) -> None:
+    """Check the numbers of a motor: `rest` at rest, and `full` more or less than that at full speed.
+
+    Raises:
+        ValueError: there are no such numbers, or they go beyond zero while that at rest does not.
+    """
+    for name, number in ((full_name, full), (rest_name, rest)):
+        if not math.isfinite(number):
+            raise ValueError(f"{name} must be a finite number, not {number}")
+    if full == 0:
+        raise ValueError(f"{full_name} must be a finite number, not zero")
+    if is_bounded and rest > 0 and abs(full) > rest:
+        lowest, highest, advice = rest - abs(full), rest + abs(full), f"; choose at most {rest:g}"
+        if rest < full < 2 * rest:
+            advice = f"; for {2 * rest - full:g} to {full:g} with rest = {rest:g} set full = {full - rest:g}"
+        raise ValueError(
+            f"{full_name} is added to {rest_name} and subtracted from it: {lowest:g} to {highest:g}{advice}"
+        )
 
 
 Unit = Literal["ticks", "rad", "m", "ticks/s", "rad/s", "rpm", "m/s"]
@@ -323,6 +352,7 @@ class JoyConfig:
         used = [each for each in (self.x_axis, self.y_axis, self.yaw_axis, self.button) if each is not None]
         if not all(0 <= each < MAX_JOY for each in (*used, self.axes, self.buttons)):
             raise ValueError(f"axes and buttons of joy must be 0 to {MAX_JOY - 1}")
+        _check_different("axis", {name: getattr(self, name) for name in _JOY_AXES}, "joy")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -341,9 +371,25 @@ class WordsConfig:
             raise ValueError("words.stop must not be empty: it is what stops the robot")
         if self.stop in (self.forward, self.backward, self.left, self.right):
             raise ValueError(f"words.stop must differ from the words that move the robot: {self.stop!r}")
+        _check_different("word", {name: getattr(self, name) for name in _DIRECTIONS}, "words")
+
+
+def _check_different(what: str, settings: dict[str, Any], where: str) -> None:
+    """Check that no value is that of two settings.
+
+    Raises:
+        ValueError: a value is that of two settings.
+    """
+    names: dict[Any, str] = {}
+    for name, value in settings.items():
+        if value is not None and names.setdefault(value, name) != name:
+            both = f"{where}.{names[value]} and {where}.{name}"
+            raise ValueError(f"{both} are one {what}, {value!r}: give each its own")
 
 
 _PAIR = 2  # throttle and steering
+_DIRECTIONS = ("forward", "backward", "left", "right")
+_JOY_AXES = ("x_axis", "y_axis", "yaw_axis")
 _COMPONENTS = 3  # of a Vector3
 MAX_WHEELS = 8
 MAX_JOY = 64  # axes and buttons of a Joy
@@ -358,7 +404,8 @@ class RobotConfig:
     """Device and limits of one robot. The limits apply to every source of commands."""
 
     address: str | None = None  # peer address or serial port of its device
-    devices: tuple[str, ...] = ()  # instead of an address: its devices, for example motors on one, encoders on another
+    # Instead of an address: its devices, for example motors on one, encoders on another.
+    devices: tuple[str, ...] | None = None
     command_device: str | None = None  # the one of its devices that is commanded, if several take a velocity
     uart_bytes_s: int | None = None
     # The drive (robot/kinematics): it refuses velocities that it cannot have. "": planar, which takes every velocity.
@@ -413,11 +460,22 @@ class RobotConfig:
             raise ValueError(f"{given[0]} and {given[1]} are two ways to command one robot: choose one")
         if self.throttle is not None and self.kinematics not in ("", "ackermann"):
             raise ValueError(f'throttle is the command of a car: it does not fit kinematics = "{self.kinematics}"')
-        if self.address is not None and self.devices:
+        commands = {self.command_topic} if given == ["command_topic"] else set[str | None]()
+        for name in given:
+            commands |= {getattr(ways[name], "topic", None), *getattr(ways[name], "topics", ())}
+        excluded = sorted(topic for topic in self.not_commands if topic in commands)
+        if excluded:
+            raise ValueError(
+                f"{excluded[0]!r} is the command of the robot and one of not_commands: remove it from one of them"
+            )
+        devices = self.devices or ()
+        if self.devices is not None and not devices:
+            raise ValueError("devices must not be empty: name the robot's boards, or remove the line")
+        if self.address is not None and devices:
             raise ValueError("address and devices are two ways to say where the robot is: choose one")
-        if len(set(self.devices)) < len(self.devices) or len(self.devices) > MAX_DEVICES:
+        if len(set(devices)) < len(devices) or len(devices) > MAX_DEVICES:
             raise ValueError(f"devices must be at most {MAX_DEVICES} different addresses, ports or names")
-        if self.command_device is not None and self.command_device not in self.devices:
+        if self.command_device is not None and self.command_device not in devices:
             raise ValueError(f"command_device {self.command_device!r} must be one of the devices")
         if self.encoders is not None and self.feedback.topic is not None:
             raise ValueError("set either encoders or feedback.topic: a robot's motion is known by one of them")
@@ -513,6 +571,14 @@ class Config:
     zenoh: ZenohConfig | None = None  # None: Zenoh is not used and not imported
     guardian: bool = True  # run a second process that stops the robots when the daemon died or hangs
 
+    def __post_init__(self) -> None:
+        owners = {place: name for name, robot in self.robots.items() for place in robot.devices or ()}
+        for name, robot in self.robots.items():
+            for place in robot.devices or (() if robot.address is None else (robot.address,)):
+                if owners.get(place, name) != name:
+                    both = " and of ".join(sorted((f"robots.{name}", f"robots.{owners[place]}")))
+                    raise ValueError(f"{place} is a device of {both}: remove it from one of them")
+
 
 def load(path: Path) -> Config:
     """Read and validate a TOML file. Paths in it are relative to its folder.
@@ -544,7 +610,20 @@ def load(path: Path) -> Config:
     try:
         return msgspec.convert(raw, Config, dec_hook=read_path)
     except msgspec.ValidationError as error:
-        raise ConfigError(str(path), str(error)) from error
+        raise ConfigError(str(path), _named(str(error), raw)) from error
+
+
+def _named(problem: str, raw: Any) -> str:
+    """Return a problem with the name of its robot, of which msgspec tells only that it is one of the robots."""
+    place = "$.robots[...]"
+    if place not in problem:
+        return problem
+    for name, robot in raw["robots"].items():
+        try:
+            msgspec.convert(robot, RobotConfig)
+        except msgspec.ValidationError:
+            return problem.replace(place, f"$.robots.{name}")
+    return problem
 
 
 def is_address(text: str) -> bool:
@@ -553,6 +632,15 @@ def is_address(text: str) -> bool:
         ipaddress.ip_address(text)
     except ValueError:
         return False
+    return True
+
+
+def is_place(text: str) -> bool:
+    """Whether `text` is a whole IP address, or one with a port."""
+    try:
+        _device_address(text)
+    except ValueError:
+        return is_address(text)
     return True
 
 

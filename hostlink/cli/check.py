@@ -19,11 +19,11 @@ from hostlink.api.access import Access, is_loopback, tls_context
 from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.cli.addresses import is_origin
 from hostlink.cli.output import quantity
-from hostlink.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_address
+from hostlink.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_place
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter
-from hostlink.hub.robot import drive_in, frames_of
+from hostlink.hub.robot import check_command, drive_in, frames_of, lacking
 from hostlink.hub.topic_graph import resolve
 from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor
 from hostlink.listening import close_all, spelled
@@ -31,7 +31,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.rosserial.control import encode_parameter
 from hostlink.recording.folder import default_folder
 from hostlink.recording.owner import owner_of
-from hostlink.robot.kinematics import SETTINGS, AckermannDrive
+from hostlink.robot.kinematics import SETTINGS, WHEELS_NEED, AckermannDrive
 from hostlink.transport.serial import find_port
 from hostlink.transport.udp import serve_udp
 
@@ -145,7 +145,8 @@ def describe(config: Config) -> list[str]:
     if config.ros1.master:
         node = "/".join(["", *filter(None, config.ros1.namespace.split("/")), config.ros1.name])
         lines.append(f"node {node} of the ROS 1 master at {config.ros1.master}")
-    lines += [f"robot {name}, {robot.address or 'known by its topics'}" for name, robot in config.robots.items()]
+    for name, robot in config.robots.items():
+        lines.append(f"robot {name}, {robot.address or ' and '.join(robot.devices or ()) or 'known by its topics'}")
     if config.zenoh is not None:
         lines.append(_describe_zenoh(config.zenoh))
     lines += [f"messages in {folder}" for folder in config.message_folders]
@@ -187,6 +188,7 @@ def _check_values(config: Config) -> None:
     for robot, settings in config.robots.items():
         try:
             drive_in(settings)
+            check_command(settings)
         except ConfigError as error:
             raise ConfigError(f"robots.{robot}", error.problem) from error
 
@@ -295,16 +297,7 @@ def _shared_frames(config: Config) -> Iterator[str]:
             yield f"{where} and {owners[frame]} are the same frame, {frame}; give each its own name"
 
 
-_WHEEL_SETTINGS = {  # dimensions without which the wheels' speeds are not known
-    "": ("wheel_separation_m",),
-    "planar": ("wheel_separation_m",),
-    "differential": ("wheel_separation_m",),
-    "skid_steer": ("wheel_separation_m",),
-    "mecanum": ("wheel_separation_m", "wheelbase_m"),
-    "omni3": ("wheel_distance_m",),
-    "omni4": ("wheel_distance_m",),
-    "ackermann": ("wheel_separation_m",),
-}
+_WHEEL_SETTINGS = {"": ("wheel_separation_m",), "planar": ("wheel_separation_m",), **WHEELS_NEED}
 _USUAL_CAR = AckermannDrive()
 
 
@@ -316,9 +309,12 @@ def _suspicious_robots(config: Config) -> Iterator[str]:
         if not _ROS_NAME.fullmatch(name):
             yield f"{where}: ROS programs cannot use this name; use letters, digits, _ and /, with a letter first"
         if robot.max_wheel_m_s is not None:
-            needed = [each for each in _WHEEL_SETTINGS[robot.kinematics] if getattr(robot, each) is None]
+            needed = [each for each in _WHEEL_SETTINGS.get(robot.kinematics, ()) if getattr(robot, each) is None]
             if needed:
                 yield f"{where}.max_wheel_m_s needs {' and '.join(needed)}, without which turns are not limited"
+        if robot.encoders is not None and (needed := lacking(drive_in(robot), robot)) and not drive_in(robot).wheels:
+            unknown = "without which they tell only whether the robot moves"
+            yield f"{where}.encoders needs {' and '.join(needed)}, {unknown}"
         if robot.kinematics == "ackermann" and None in (robot.wheelbase_m, robot.max_steering_rad):
             yield (
                 f"{where}: measure the car for wheelbase_m and max_steering_rad, with which it steers; without them it "
@@ -332,8 +328,9 @@ def _suspicious_robots(config: Config) -> Iterator[str]:
                 "the devices can be told apart only if the firmware of each has its own name"
             )
         by_address.setdefault(robot.address, name)
-        if robot.address not in ports and not is_address(robot.address):
-            yield f"{where}.address {robot.address} is neither an IP address nor the name of a [[serial]] port"
+        if robot.address not in ports and not is_place(robot.address):
+            kinds = "an IP address, with or without a port, nor the name of a [[serial]] port"
+            yield f"{where}.address {robot.address} is neither {kinds}"
 
 
 def _suspicious_api(config: Config) -> Iterator[str]:

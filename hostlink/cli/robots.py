@@ -3,7 +3,7 @@
 import asyncio
 import functools
 import json as json_text
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable
 from typing import Annotated, Any
 
 import typer
@@ -23,6 +23,7 @@ from hostlink.client import (
     Standstill,
     StandstillState,
     Stopped,
+    StoppedRobot,
 )
 from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
 from hostlink.robot.standstill import sentence
@@ -163,7 +164,7 @@ async def _stop(host: Host, names: list[str], *, is_measured: bool = True, json:
 async def _halt(
     host: Host,
     names: list[str],
-    command: Callable[..., Awaitable[Standstill]],
+    command: Callable[..., Awaitable[StoppedRobot]],
     *,
     done: str = "",
     is_measured: bool = True,
@@ -182,7 +183,7 @@ async def _halt(
     wanted = known if mean_all(names, known) else [name.strip("/") for name in names] or known
     # No stop waits for the measurement of another robot.
     no_wait = {"wait_s": 0.0} if len(wanted) > 1 or not is_measured else {}
-    measured, failed = dict[str, Standstill](), dict[str, HostlinkError]()
+    stopped, failed = dict[str, StoppedRobot](), dict[str, HostlinkError]()
 
     async def halt(name: str) -> None:
         try:
@@ -190,18 +191,19 @@ async def _halt(
                 raise ConfigError("ROBOTS", "a name is empty; give one, or leave the argument out for all robots")
             if name not in known:
                 raise unknown_robot(name, known, also=of_all)
-            measured[name] = await command(host.robot(name), **no_wait)
+            stopped[name] = await command(host.robot(name), **no_wait)
         except HostlinkError as error:
             failed[name] = error
 
     async with asyncio.TaskGroup() as tasks:  # no stop waits for one of a daemon that does not answer
         for name in wanted:
             tasks.create_task(halt(name))
+    endpoints = [each for name in wanted if name in stopped for each in stopped[name].endpoints]
+    measured: dict[str, Standstill] = {**stopped}
     if no_wait and measured and is_measured:
         measured = {name: found for name, found in (await host.standstill()).items() if name in measured}
     try:
         if measured:
-            endpoints = await _of_boards(host, measured)
             await _report(host, Stopped(measured, endpoints), done=done, is_measured=is_measured, json=json)
     finally:
         if failed:
@@ -242,12 +244,6 @@ async def _report(host: Host, measured: Stopped, *, done: str = "", is_measured:
         is_done = is_covered and not (is_measured and StandstillState.MOVING in states)
     if not is_done:
         raise typer.Exit(1)
-
-
-async def _of_boards(host: Host, robots: Collection[str]) -> list[CommandEndpoint]:
-    """Return what else the boards of these robots take that looks like a command, after a stop or a lock."""
-    devices = (await host.get("/api/devices"))["devices"]
-    return [each for device in devices for each in device["unguarded"] if each["robot"] in robots]
 
 
 def _is_covered(robot: RobotState) -> bool:

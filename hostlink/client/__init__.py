@@ -34,6 +34,7 @@ from hostlink.client.views import (
     Refusal,
     RobotState,
     Stopped,
+    StoppedRobot,
     TopicState,
     Twist,
 )
@@ -70,6 +71,7 @@ __all__ = [
     "Standstill",
     "StandstillState",
     "Stopped",
+    "StoppedRobot",
     "Stream",
     "TopicState",
     "Twist",

@@ -15,13 +15,20 @@ from hostlink.client.callers import own_context
 from hostlink.client.cells import Names, watch_cells, watched
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import IDLE_TIMEOUT_S, Repeated, VelocitySender
-from hostlink.client.http_client import CLOSE_TIMEOUT_S, DEFAULT_PORT, REQUEST_TIMEOUT_S, HttpClient, measured
+from hostlink.client.http_client import (
+    CLOSE_TIMEOUT_S,
+    DEFAULT_PORT,
+    REQUEST_TIMEOUT_S,
+    HttpClient,
+    endpoints,
+    measured,
+)
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
 from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import RAW, Graphs, GraphWatch, RawSubscription, Subscription, Topics, read_raw
 from hostlink.client.type_names import TypeName, type_name_of
-from hostlink.client.views import CommandEndpoint, ConnectionChange, Event, RobotState, Stopped, TopicState
+from hostlink.client.views import ConnectionChange, Event, RobotState, Stopped, TopicState
 from hostlink.errors import BadRequest, HostlinkError, Refused
 from hostlink.robot.standstill import Standstill
 
@@ -135,7 +142,7 @@ class Host:
         finally:
             for name in driven:
                 await self._driver.send_zero(name, PRIORITY)
-        return Stopped(await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer), _endpoints(answer))
+        return Stopped(await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer), endpoints(answer))
 
     async def lock_all(self, reason: str, *, wait_s: float = WAIT_S) -> Stopped:
         """The emergency stop of every robot and of boards that are not robots, also of those that connect later.
@@ -147,7 +154,7 @@ class Host:
         """
         self._driver.stop_repeating_all()
         answer = await self._http.request("POST", "/api/lock?wait_s=0", {"reason": reason})
-        return Stopped(await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer), _endpoints(answer))
+        return Stopped(await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer), endpoints(answer))
 
     async def unlock_all(self) -> list[RobotState]:
         """Let every robot and board be driven again; nothing that was held before drives them.
@@ -395,10 +402,6 @@ class Host:
                     with contextlib.suppress(HostlinkError):  # the connection is gone
                         await self._round_trip()
                 await self._connection.aclose()
-
-
-def _endpoints(answer: Mapping[str, Any]) -> list[CommandEndpoint]:
-    return cast(list[CommandEndpoint], answer.get("endpoints", []))  # an older daemon sends none
 
 
 def _measured(answer: Mapping[str, Any]) -> dict[str, Standstill]:

@@ -5,7 +5,7 @@ import ssl
 import weakref
 from collections.abc import AsyncIterator, Iterator, Mapping
 from http import HTTPStatus
-from typing import Any
+from typing import Any, cast
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 import aiohttp
@@ -15,6 +15,7 @@ from hostlink.client.callers import Callers, boot_s
 from hostlink.client.views import Event
 from hostlink.errors import ConfigError, HostlinkError, Refused
 from hostlink.robot.standstill import Standstill, StandstillState
+from hostlink.robot.views import CommandEndpointView
 
 # -- JSON -------------------------------------------------------------------------------------------------------------
 
@@ -270,6 +271,11 @@ class HttpClient:
             case _:
                 cause = f"is `hostlink serve` running there? ({error})"
         return f"no hostlink at {self.url}: {cause}"
+
+
+def endpoints(answer: Mapping[str, Any]) -> list[CommandEndpointView]:
+    """Read the topics that are not a robot's from the answer to a stop or a lock; an older daemon sends none."""
+    return cast(list[CommandEndpointView], answer.get("endpoints", []))
 
 
 def measured(robot: Mapping[str, Any]) -> Standstill:

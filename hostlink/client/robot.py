@@ -1,15 +1,14 @@
 """Robot: one robot of a host, as a script drives and reads it."""
 
-from collections.abc import AsyncIterator
-from typing import cast, overload
+from collections.abc import AsyncIterator, Mapping
+from typing import Any, cast, overload
 from urllib.parse import quote
 
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
-from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, measured
+from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, endpoints, measured
 from hostlink.client.motion import Begin, OnProgress, drive_for, follow, line, require_pose, turn
-from hostlink.client.views import Driven, Motion, Odometry, Refusal, RobotState
-from hostlink.robot.standstill import Standstill
+from hostlink.client.views import Driven, Motion, Odometry, Refusal, RobotState, StoppedRobot
 from hostlink.robot.velocity import PlanarVelocity
 
 PRIORITY = 50  # of a program; a person at the keys is 60
@@ -209,8 +208,10 @@ class Robot:
         self._connection.callers.note()
         return self._driver.refusals.get(self.name)
 
-    async def stop(self, *, wait_s: float = WAIT_S) -> Standstill:
+    async def stop(self, *, wait_s: float = WAIT_S) -> StoppedRobot:
         """Stop the robot, also if others drive it; return what was measured since. Its decelerations apply.
+
+        What else its devices take that looks like a command is sent a zero; `endpoints` of the result has these topics.
 
         The stop is sent at once. The measurement lasts until the robot has stopped, at most `wait_s` seconds; 0 does
         not wait. A source that was driving must let go before it can drive again.
@@ -224,9 +225,9 @@ class Robot:
             answer = await self._http.request("POST", path, timeout_s=CLOSE_TIMEOUT_S)
         finally:
             await self._driver.send_zero(self.name, self.priority)
-        return await self._http.measure(f"{self._path}/standstill", wait_s) if wait_s > 0 else measured(answer)
+        return await self._stopped(answer, wait_s)
 
-    async def lock(self, reason: str, *, wait_s: float = WAIT_S) -> Standstill:
+    async def lock(self, reason: str, *, wait_s: float = WAIT_S) -> StoppedRobot:
         """The emergency stop: zero at once, and every command of everybody is refused until `unlock`.
 
         Returns what was measured since, as `stop` does.
@@ -237,7 +238,12 @@ class Robot:
         self._driver.stop_repeating(self.name)
         path = f"{self._path}/lock?wait_s=0"
         answer = await self._http.request("POST", path, {"reason": reason}, timeout_s=CLOSE_TIMEOUT_S)
-        return await self._http.measure(f"{self._path}/standstill", wait_s) if wait_s > 0 else measured(answer)
+        return await self._stopped(answer, wait_s)
+
+    async def _stopped(self, answer: Mapping[str, Any], wait_s: float) -> StoppedRobot:
+        """Measure since a stop or a lock with this answer, which may also name topics of other robots' stops."""
+        found = await self._http.measure(f"{self._path}/standstill", wait_s) if wait_s > 0 else measured(answer)
+        return StoppedRobot.of(found, [each for each in endpoints(answer) if each["robot"] == self.name])
 
     async def unlock(self) -> None:
         """Let it be driven again; nothing that was held before drives it.

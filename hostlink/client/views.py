@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.views import CommandEndpointView, OdometryView, PoseView, RobotView, TopicView, VelocityView
@@ -15,6 +15,22 @@ Odometry = OdometryView
 RobotState = RobotView
 TopicState = TopicView
 CommandEndpoint = CommandEndpointView
+
+
+class StoppedRobot(Standstill):
+    """Measurement of one robot after a stop or a lock.
+
+    `endpoints`: what else its devices take that looks like a command; what these topics move is not measured.
+    """
+
+    endpoints: tuple[CommandEndpoint, ...] = ()
+
+    @classmethod
+    def of(cls, measured: Standstill, endpoints: Sequence[CommandEndpoint]) -> Self:
+        """Return a measurement with the topics of the robot's devices."""
+        found = cls(*measured)
+        found.endpoints = tuple(endpoints)
+        return found
 
 
 class Stopped(dict[str, Standstill]):

@@ -13,6 +13,7 @@ BUCKET_S = 5.0  # a thousand links would notice thirty counters each
 _MESSAGES, _JUMPS = "messages", "jumps"  # keys besides the flaws
 NO_POSE = {  # flaws that leave no pose, and what they are called
     "not_finite": "poses with NaN or infinity",
+    "too_far": "poses farther than 1000 km away",
     "zero_quaternion": "orientations that are four zeros",
     "heading_in_z": "orientations of which only z is set, to a heading",
     "bad_quaternion": "orientations of a length far from 1",

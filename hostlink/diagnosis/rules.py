@@ -233,8 +233,9 @@ def _flawed(evidence: Evidence, flaw: str, text: str) -> str | None:
 
 
 def _bad_pose(evidence: Evidence) -> str | None:
-    count = evidence.motion.counts.get("not_finite", 0)
-    return _on(evidence, f"{count} {NO_POSE['not_finite']}") if count >= FLAWED else None
+    counts = {flaw: evidence.motion.counts.get(flaw, 0) for flaw in ("not_finite", "too_far")}
+    found = ", ".join(f"{count} {NO_POSE[flaw]}" for flaw, count in counts.items() if count)
+    return _on(evidence, found) if sum(counts.values()) >= FLAWED else None
 
 
 def _bad_quaternion(evidence: Evidence) -> str | None:

@@ -31,8 +31,10 @@ from hostlink.robot.model import (
     NO_SETTINGS,
     Endpoint,
     RobotTopicNames,
+    Suggestion,
     is_velocity,
     name_of,
+    suggest,
     suggestion,
     unguarded,
 )
@@ -132,7 +134,7 @@ class Device:
     __slots__ = (
         "_awaited", "_hub", "_lockable", "_observers", "_odometry", "_reader", "diagnosis", "drivables", "early",
         "infos", "is_undecided", "link", "lost", "member", "names", "parameters", "presence", "refused_settings",
-        "robot", "routes", "services", "settings", "shown", "stop_frames", "unguarded",
+        "robot", "routes", "services", "settings", "shown", "stop_frames", "suggested", "unguarded",
     )  # fmt: skip
 
     def __init__(self, link: Link, diagnosis: Diagnosis, presence: Presence, hub: "Hub") -> None:
@@ -147,6 +149,7 @@ class Device:
         self.member: Membership | None = None  # of a robot of several devices
         self.refused_settings = ""  # why they do not fit the device
         self.unguarded: tuple[DeviceEndpoint, ...] = ()  # look like commands of a motion, and have no gate
+        self.suggested: Suggestion | None = None  # settings that make a robot of it; None: none do, or it is one
         self._lockable: frozenset[str] = frozenset()  # own names of topics without a gate that a lock refuses
         self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()
@@ -224,6 +227,18 @@ class Device:
         """Topics that the device sends, by its own names."""
         return [TopicType(info.name, info.type) for info in self.infos if info.kind is EndpointKind.PUBLISHER]
 
+    @property
+    def read_topics(self) -> list[tuple[str, str]]:
+        """Topics by which its robot's motion is known and that come from this device, by own name and type."""
+        robot = self._robot
+        if robot is None:
+            return []
+        return [
+            (info.name, info.type)
+            for info in self.infos
+            if info.kind is EndpointKind.PUBLISHER and self._reads(info, robot)
+        ]
+
     def read_for(self, robot: LocalRobot | None) -> None:
         """Read the topics of a robot's feedback that come from this device, one of several of the robot's."""
         self._end_odometry()
@@ -290,16 +305,44 @@ class Device:
 
     @property
     def suggestion(self) -> str:
-        """Lines of hostlink.toml that put its endpoints without a gate in order; empty if there are none."""
-        suspects = [Endpoint(info.name, info.type, info.is_to_device) for info in self.unguarded]
-        if not suspects:
+        """Lines of hostlink.toml that put its endpoints without a gate in order; empty if there are none.
+
+        Those of the boards of one robot are the same. With those of all other devices they are one file.
+        """
+        if self.suggested is not None:
+            return self.suggested.lines
+        known = self.robot_name
+        if known is None or not self.unguarded:
             return ""
-        part_of = None if self.member is None else self.member.robot
-        known = part_of if self.robot is None else self.robot.name
-        if known is not None:
-            return suggestion(suspects, known, self.link.address, is_robot=True)
+        boards = (each for each in self._hub.robots.devices.values() if each is self or each.robot_name == known)
+        names = dict.fromkeys(each for board in boards for each in board.unguarded_topics)
+        return suggestion(list(names), known, self.link.address, is_robot=True)
+
+    @property
+    def unguarded_topics(self) -> list[Endpoint]:
+        """Endpoints without a gate, as the model of robots knows them."""
+        return endpoints_of(self.unguarded)
+
+    @property
+    def robot_name(self) -> str | None:
+        """Name of the robot that it is, or of which it is a part, which may never have been commanded."""
+        if self.robot is not None:
+            return self.robot.name
+        return None if self.member is None else self.member.robot
+
+    def _suggest(self) -> Suggestion | None:
+        """Return the settings that make the device a robot; None if it is one, or nothing looks like a command."""
+        suspects, robots = self.unguarded_topics, self._hub.robots
+        if not suspects or self.robot_name is not None:
+            return None
+        others: dict[str, Suggestion | None] = {
+            each.suggested.name: each.suggested
+            for each in robots.devices.values()
+            if each is not self and each.suggested is not None
+        }
+        others |= dict.fromkeys(robots.taken_names())
         name = name_of(suspects[0].name) or "my_robot"
-        return suggestion(suspects, name, self.link.address)
+        return suggest(suspects, name, self.link.address, self.link.peer, others)
 
     def _note_unguarded(self) -> None:
         """Find the endpoints that look like commands and have no gate. Under a lock they are sent their zeros."""
@@ -308,6 +351,7 @@ class Device:
         self.unguarded = tuple(
             info for info in self.infos if info.kind is EndpointKind.SUBSCRIBER and info.name in names
         )
+        self.suggested = self._suggest()
         self._lockable = self.settings.locked | names
         if self.lock.lock_reason is not None:
             self.stop_unguarded()

@@ -506,7 +506,7 @@ class Gates:
             raise refusal
 
     def note_missing(self, drivables: Iterable[Drivable], missing: str) -> None:
-        """Stop a robot of several devices because one is missing, and refuse commands until `missing` is empty."""
+        """Stop these topics of a robot of several devices, of which one is missing, until `missing` is empty."""
         drivables, now_s = list(drivables), loop_time_s()
         if missing:
             for drivable in drivables:

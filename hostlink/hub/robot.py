@@ -27,6 +27,7 @@ from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, Command
 from hostlink.robot.command_types import (
     ACKERMANN_TYPES,
+    JOINT_STATE_TYPE,
     NUMBER_TYPES,
     AckermannCommand,
     CommandType,
@@ -42,11 +43,11 @@ from hostlink.robot.command_types import (
 )
 from hostlink.robot.feedback import Feedback, FeedbackKind, FeedbackSettings
 from hostlink.robot.kinematics import SETTINGS as DIMENSIONS
-from hostlink.robot.kinematics import AckermannDrive, Drive, drive_of
+from hostlink.robot.kinematics import WHEELS_NEED, AckermannDrive, Drive, drive_of
 from hostlink.robot.model import CommandKind, CommandSettings, RobotTopicNames
 from hostlink.robot.names import SURE_S
 from hostlink.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, aged_rate_hz
-from hostlink.robot.readings import OdometryReading
+from hostlink.robot.readings import Flaw, OdometryReading
 from hostlink.robot.ros_messages import FrameIds
 from hostlink.robot.standstill import NO_ODOMETRY, OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
@@ -75,7 +76,7 @@ def of_namesake(config: RobotConfig | None) -> RobotConfig:
     return dataclasses.replace(
         config,
         address=None,
-        devices=(),
+        devices=None,
         command_device=None,
         odom_topic=None,
         cmd_vel_topic=None,
@@ -159,7 +160,7 @@ def command_settings(config: RobotConfig) -> CommandSettings:
         ignored,
         locked,
         is_spatial,
-        config.devices,
+        config.devices or (),
         config.command_device,
         config.stop_service,
     )
@@ -232,6 +233,8 @@ def commands_of(
     )
     if kind is CommandKind.WHEELS and config.wheels is not None:
         count = 1 if len(topics) == 1 and topics[0].type_name in NUMBER_TYPES else len(drive.wheels)
+        if not count:
+            raise ConfigError("wheels", _why_no_wheels(drive, config))
         scales = wheel_scales(config.wheels, config, count)
         return WheelCommand(topics, drive, scales, joints=config.wheels.joints)
     if kind is CommandKind.JOY and config.joy is not None:
@@ -250,6 +253,39 @@ def commands_of(
     if topics[0].type_name in ACKERMANN_TYPES and isinstance(drive, AckermannDrive):
         return AckermannCommand(topics[0], drive, frame_id)
     return TwistCommand(topics[0], frame_id)
+
+
+def lacking(drive: Drive, config: RobotConfig) -> list[str]:
+    """Return the settings without which the speeds of a drive's wheels are not known."""
+    return [name for name in WHEELS_NEED.get(drive.kinematics, ()) if getattr(config, name) is None]
+
+
+def _why_no_wheels(drive: Drive, config: RobotConfig) -> str:
+    missing = lacking(drive, config)
+    if missing:
+        needed = " and ".join(missing)
+        return f'kinematics = "{drive.kinematics}" needs {needed}, without which the speeds of its wheels are not known'
+    known = ", ".join(f'"{each}"' for each in WHEELS_NEED)
+    return f'kinematics = "{config.kinematics}" has no wheels: choose the drive of the robot, one of {known}'
+
+
+def check_command(config: RobotConfig) -> None:
+    """Check the settings of a robot's command as far as they tell without its device, which has the types.
+
+    Raises:
+        ConfigError: they fit no device.
+    """
+    number = next(iter(NUMBER_TYPES))
+    if config.throttle is not None:
+        commands_of([TopicType(topic, number) for topic in config.throttle.topics], config, kind=CommandKind.THROTTLE)
+    wheels = config.wheels
+    if wheels is None:
+        return
+    if len(wheels.topics) > 1 or wheels.joints:
+        type_name = number if len(wheels.topics) > 1 else JOINT_STATE_TYPE
+        commands_of([TopicType(topic, type_name) for topic in wheels.topics], config, kind=CommandKind.WHEELS)
+    else:  # one number, or an array of them
+        wheel_scales(wheels, config, len(wheels.directions) or 1)
 
 
 LOCK_REASON = "emergency stop"  # default
@@ -561,6 +597,8 @@ class LocalRobot(Drivable, AnyRobot):
         stamp_ns = message.stamp_ns
         if reading.stamp_ns is not None and link is not None:  # by the device's clock
             stamp_ns = link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
+        if Flaw.SENT_BACK in reading.flaws:  # so were the poses before, by which that is known
+            odometry.withdraw()
         odometry.update(
             reading.pose,
             now_s=message.at_s,
@@ -641,6 +679,10 @@ class RemoteOdometry:
         self.count = 0
         self._newest: OdometrySnapshot | None = None
         self._at_s = 0.0
+
+    def withdraw(self) -> None:
+        """Drop the newest pose: the other daemon has dropped it, too."""
+        self._newest = None
 
     def update(self, newest: OdometrySnapshot, now_s: float) -> bool:
         """Set the newest pose. Return whether it differs from the one before."""
@@ -783,7 +825,9 @@ class RemoteRobot(AnyRobot):
         self.known = known
         self.admission.lease_s = known.lease_s
         self.note_epoch(epoch, lock_reason=known.lock_reason)
-        if known.odometry is not None and self.odometry.update(known.odometry, loop_time_s()):
+        if known.odometry is None:
+            self.odometry.withdraw()
+        elif self.odometry.update(known.odometry, loop_time_s()):
             for follow in tuple(self.followers.values()):
                 follow(None)
 

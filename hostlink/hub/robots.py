@@ -7,7 +7,7 @@ import itertools
 import math
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import structlog
@@ -210,6 +210,10 @@ class Robots:
         """Return the robot of this daemon with this name; None if it does not exist."""
         return self._robots.get(name)
 
+    def taken_names(self) -> set[str]:
+        """Return the names that no other device should be given: of configured and of connected robots."""
+        return {*self._configs, *(robot.name for robot in self._robots.values() if robot.connection is not None)}
+
     def is_known(self, robot: AnyRobot) -> bool:
         """Whether a robot is not forgotten."""
         return robot in (self._robots.get(robot.name), self.remote.get(robot.name))
@@ -256,26 +260,30 @@ class Robots:
         """
         if self._gates.hosts is not None:
             self._gates.hosts.lock(None, shown_reason(reason))
-        return self._lock((robot.lock for robot in self.all()), reason, by=by)
+        return self._lock({robot: robot.lock for robot in self.all()}, reason, by=by)
 
     def lock_all_here(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
         """Lock every robot and every board of this daemon; as `lock_all`."""
-        return self._lock((robot.lock_here for robot in self.here()), reason, by=by)
+        return self._lock({robot: robot.lock_here for robot in self.here()}, reason, by=by)
 
-    def _lock(self, robots: Iterable[Callable[..., None]], reason: str, *, by: str | None) -> list[CommandEndpoint]:
-        """Lock the boards here, and robots by these methods."""
+    def _lock(
+        self, robots: Mapping[AnyRobot, Callable[..., None]], reason: str, *, by: str | None
+    ) -> list[CommandEndpoint]:
+        """Lock the boards here, and robots by these methods, which also stop what else the robots' devices take."""
         self.boards.lock(shown_reason(reason), loop_time_s(), by=by)
         log.warning("robots.all_locked", reason=self.boards.lock_reason)
         refusal = None
-        for lock in robots:
+        for lock in robots.values():
             try:
                 lock(reason, by=by)
             except HostlinkError as error:
                 refusal = error
         with contextlib.suppress(HostlinkError):  # it is named below
             self._gates.lock(self._without_robot(), self.boards.lock_reason or reason, by=by)
+        of_robots = {device for robot in robots if isinstance(robot, LocalRobot) for device in robot.devices}
         for device in self.devices.values():
-            device.stop_unguarded()
+            if device not in of_robots:
+                device.stop_unguarded()
         if refusal is not None:
             raise refusal
         return self.endpoints()
@@ -389,24 +397,35 @@ class Robots:
     def regroup(self, name: str) -> LocalRobot | None:
         """Find the parts of a robot of several devices anew, after one of them came, left or has other topics.
 
-        Return the robot; None if it has never been commanded.
+        While one is missing, no velocity topic of the others is driven. Return the robot; None if it has never been
+        commanded.
         """
         robot = self._robots.get(name)
-        if robot is None:
-            return None
         members = {
             device.member.place: device
             for device in self.devices.values()
             if device.member is not None and device.member.robot == name and not device.is_undecided
         }
-        if not robot.config.devices:  # no longer of several
-            self._note_parts(robot, (), None)
-            self._gates.note_missing([robot], "")
+        config = self.config_of(name) if robot is None else robot.config
+        if not config.devices:  # no longer of several
+            if robot is not None:
+                self._note_parts(robot, (), None)
+                self._gates.note_missing([robot], "")
             return robot
         endpoints = {place: device.endpoints for place, device in members.items()}
-        parts = parts_of(name, command_settings(robot.config), endpoints)
+        parts = parts_of(name, command_settings(config), endpoints)
+        if robot is None:
+            self._note_missing(name, [each for device in members.values() for each in device.drivables], parts.why_not)
+            return None
         self._note_parts(robot, tuple(each for each in members.values() if each is not robot.connection), None)
-        self._note_missing(robot, parts.why_not)
+        before = robot.admission.missing
+        self._note_missing(name, robot.beside, parts.why_not)
+        if parts.why_not and parts.why_not != before:
+            log.warning("robot.incomplete", robot=name, reason=parts.why_not)
+            for device in robot.devices:
+                device.stop_unguarded()
+        elif before and not parts.why_not:
+            log.info("robot.complete", robot=name)
         self._read_parts(robot, parts, members)
         for drivable in robot.beside:
             reason = robot.gate.lock_reason
@@ -422,13 +441,13 @@ class Robots:
             device.read_for(None)
         robot.parts, robot.feedback_links = parts, links
 
-    def _note_missing(self, robot: LocalRobot, why_not: str) -> None:
-        before = robot.admission.missing
-        if why_not and why_not != before:
-            log.warning("robot.incomplete", robot=robot.name, reason=why_not)
-        elif before and not why_not:
-            log.info("robot.complete", robot=robot.name)
-        self._gates.note_missing([each for each in robot.beside if each.admission is robot.admission], why_not)
+    def _note_missing(self, name: str, drivables: Iterable[Drivable], why_not: str) -> None:
+        """Note for each velocity topic of a robot's devices why the robot cannot be driven; empty: it can."""
+        own, others = list[Drivable](), list[Drivable]()
+        for drivable in drivables:
+            (own if drivable.name == name else others).append(drivable)
+        self._gates.note_missing(own, why_not)
+        self._gates.note_missing(others, why_not and f"robot {name}: {why_not}")
 
     def _read_parts(self, robot: LocalRobot, parts: Parts, members: dict[str, Device]) -> None:
         """Read the robot's feedback from the devices that send it."""

@@ -337,12 +337,14 @@ class WordCommand(CommandType):
         """`full`: the limits, by which forward and turning motion are compared.
 
         Raises:
-            ConfigError: a word does not fit the type of the topic.
+            ConfigError: a word does not fit the type of the topic, or two are one value of it.
         """
         super().__init__((topic,))
         self._full = full
         self._words = words
         self._payloads = Words(*(_word(topic.type_name, word) for word in words))
+        if len(set(self._payloads)) < len(words):
+            raise ConfigError("words", f"two of {', '.join(map(repr, words))} are one value of {topic.type_name}")
 
     def encode(self, velocity: AnyVelocity, stamp_ns: int = 0) -> tuple[bytes, ...]:  # noqa: ARG002 - no stamp
         """Encode a word."""

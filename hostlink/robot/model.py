@@ -284,6 +284,33 @@ def _is_telling(word: str) -> bool:
     return len(word) >= _SHORTEST_WORD and word.isalpha() and (word.islower() or word[0].isupper())
 
 
+class Suggestion(NamedTuple):
+    """Lines of hostlink.toml that make a robot of a device at an address."""
+
+    name: str
+    address: str
+    lines: str
+
+
+def suggest(
+    suspects: Sequence[Endpoint], name: str, address: str, peer: str, others: Mapping[str, Suggestion | None]
+) -> Suggestion:
+    """Return the suggestion for a device, with a name of its own. Equal devices at one address share one.
+
+    `others`: by the names of robots, the suggestions for other devices; None: there is such a robot. A device whose
+    name another one has at the same address is told apart by its port, which is in `peer`.
+    """
+    chosen, place, number = name, address, 1
+    while True:
+        new, other = Suggestion(chosen, address, suggestion(suspects, chosen, place)), others.get(chosen)
+        if chosen not in others or new == other:
+            return new
+        if other is not None and other.address == address:
+            place = peer
+        number += 1
+        chosen = f"{name}_{number}"
+
+
 def suggestion(suspects: Sequence[Endpoint], name: str, address: str, *, is_robot: bool = False) -> str:
     """Return lines of hostlink.toml that make a robot of a device with these unguarded endpoints.
 
@@ -292,7 +319,8 @@ def suggestion(suspects: Sequence[Endpoint], name: str, address: str, *, is_robo
     """
     topics = ", ".join(_quoted(each.name) for each in suspects)
     if is_robot:
-        return f"[robots.{name}]\nlocked_topics = [{topics}]"
+        key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
+        return f"[robots.{key}]\nlocked_topics = [{topics}]"
     address_line = f"[robots.{name}]\naddress = {_quoted(address)}\n"
     by_type: dict[str, list[str]] = {}
     for each in suspects:

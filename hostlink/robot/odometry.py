@@ -7,6 +7,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, is_near_origin, placed, wrap_angle
+from hostlink.robot.readings import FARTHEST_M
 from hostlink.robot.velocity import PlanarVelocity
 
 
@@ -74,7 +75,6 @@ KEPT_RATE_S = 1.0  # odometry is published ten times a second and more, and a ra
 RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be commanded, and what a late pose adds
 SHAKE_M = 0.02
 SHAKE_RAD = 0.05
-FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
 RESET_WAIT_S = 5.0  # for the first pose after a reset: the longest stall of a network
 CLOCK_SET_NS = 10_000_000_000  # a stamp so far back is of a host whose clock was set; smaller steps are ignored
 
@@ -253,6 +253,13 @@ class OdometryEstimator:
     def expect_reset(self, now_s: float) -> None:
         """The device was commanded to make its place the origin: the next pose there is right."""
         self._reset_until_s = now_s + RESET_WAIT_S
+
+    def withdraw(self) -> None:
+        """Drop what was added: it turned out to be no odometry. The counts remain."""
+        self._window.clear()
+        self._newest = self._doubtful = self._twist = self._is_moving = None
+        self._has_pose = False
+        self._frame = _NO_FRAME
 
     def update(
         self,

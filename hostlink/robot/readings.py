@@ -1,7 +1,8 @@
 """Readers of the messages that say where a robot is or how it moves. Pure.
 
-A reading has only what can be believed: a pose with NaN, or with an orientation that is not a rotation, is left out,
-and its flaw is named. What is merely unusual (a stamp of zero) is named, too, and does not remove the pose.
+A reading has only what can be believed: a pose with NaN, or farther away than any robot drives, or with an orientation
+that is not a rotation, is left out, and its flaw is named. What is merely unusual (a stamp of zero) is named, too, and
+does not remove the pose.
 """
 
 import functools
@@ -19,9 +20,10 @@ POSE_TYPE, ODOMETRY_TYPE = "geometry_msgs/Pose2D", "nav_msgs/Odometry"
 
 
 class Flaw(StrEnum):
-    """Flaw of one message. The first five leave no pose."""
+    """Flaw of one message. The first six leave no pose."""
 
     NOT_FINITE = "not_finite"  # NaN or infinity in the pose, or in the velocity of a message without a pose
+    TOO_FAR = "too_far"  # the pose is farther from the origin than any odometry counts
     ZERO_QUATERNION = "zero_quaternion"  # all four numbers of the orientation are 0
     HEADING_IN_Z = "heading_in_z"  # only orientation.z is set, to something that is not the length of a quaternion
     BAD_QUATERNION = "bad_quaternion"  # the length is far from 1
@@ -49,6 +51,7 @@ class OdometryReading(NamedTuple):
 
 Reader = Callable[[bytes], OdometryReading]
 
+FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
 SHORTEST_QUATERNION, LONGEST_QUATERNION = 0.9, 1.1  # float32 rounds to 1e-7, four decimals in a text to 1e-4
 EXACT = 1e-3  # of a quaternion that has only z: half a turn, if its length is 1
 _NS_PER_S = 1_000_000_000
@@ -93,8 +96,8 @@ def read_pose(payload: bytes) -> OdometryReading:
     if len(payload) != _POSE2D.size:
         raise BadPayload(POSE_TYPE, f"{len(payload)} bytes instead of {_POSE2D.size}")
     x_m, y_m, theta_rad = _POSE2D.unpack(payload)
-    if not (math.isfinite(x_m) and math.isfinite(y_m) and math.isfinite(theta_rad)):
-        return OdometryReading(flaws=(Flaw.NOT_FINITE,))
+    if not (-FARTHEST_M < x_m < FARTHEST_M and -FARTHEST_M < y_m < FARTHEST_M and math.isfinite(theta_rad)):
+        return OdometryReading(flaws=(_why_nowhere(x_m, y_m, theta_rad),))
     return OdometryReading(Pose(x_m, y_m, wrap_angle(theta_rad)))
 
 
@@ -148,11 +151,15 @@ def _read(type_name: str, parts: _Parts, payload: bytes) -> OdometryReading:
     return OdometryReading(pose, twist, stamp_ns, None, tuple(flaws), frame_id)
 
 
+def _why_nowhere(*numbers: float) -> Flaw:
+    return Flaw.TOO_FAR if all(map(math.isfinite, numbers)) else Flaw.NOT_FINITE
+
+
 def _pose(x_m: float, y_m: float, x: float, y: float, z: float, w: float) -> tuple[Pose | None, Flaw | None]:
     """Pose on the floor, or why there is none. A quaternion that is nearly of length 1 counts: boards round."""
     length = math.sqrt(x * x + y * y + z * z + w * w)
-    if not (math.isfinite(x_m) and math.isfinite(y_m) and math.isfinite(length)):
-        return None, Flaw.NOT_FINITE
+    if not (-FARTHEST_M < x_m < FARTHEST_M and -FARTHEST_M < y_m < FARTHEST_M and math.isfinite(length)):
+        return None, _why_nowhere(x_m, y_m, length)
     if length == 0:
         return None, Flaw.ZERO_QUATERNION
     if x == y == w == 0 and abs(length - 1) > EXACT:

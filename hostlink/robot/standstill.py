@@ -13,6 +13,8 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import NamedTuple
 
+from hostlink.compiled import mypyc_attr
+
 STILL_M_S = 0.005  # motion of a stopped robot by noise
 STILL_RAD_S = 0.02
 STEADY_S = 0.08  # two poses at 10 Hz, with their jitter: a robot that reverses is still in one pose
@@ -31,6 +33,7 @@ class StandstillState(StrEnum):
     UNKNOWN = "unknown"
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Standstill(NamedTuple):
     """Measured motion. `after_s` is when the robot was first stopped; `reason` is empty if it is stopped.
 

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import pytest
 
@@ -17,12 +17,13 @@ from tests.support.fake_device import topic
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.scripted_device import ScriptedDevice
 
-MOTORS, WHEELS = "10.0.0.2", "10.0.0.3"
+MOTORS, WHEELS, ARM = "10.0.0.2", "10.0.0.3", "10.0.0.4"
 COMMAND = [topic(EndpointKind.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
 POSE = [topic(EndpointKind.PUBLISHER, 125, "odom", "geometry_msgs/Pose2D")]
 OTHER_COMMAND = [*POSE, topic(EndpointKind.SUBSCRIBER, 101, "other/cmd_vel", "geometry_msgs/Twist")]
 CONFIG = Config(robots={"r": RobotConfig(devices=(MOTORS, WHEELS))})
 CHOSEN = Config(robots={"r": RobotConfig(devices=(MOTORS, WHEELS), command_device=MOTORS)})
+THREE = Config(robots={"r": RobotConfig(devices=(MOTORS, WHEELS, ARM), command_device=MOTORS)})
 SLOW = PlanarVelocity(0.25)
 
 
@@ -165,6 +166,80 @@ def test_stop_and_lock_cover_the_command_of_the_feedback_board() -> None:
         made.robot("r").unlock()
         await asyncio.sleep(1.0)
         assert await moved() == (0.2, 0.0)
+
+    in_hub(test, CHOSEN)
+
+
+def publisher_of(made: MemoryHub, name: str) -> Callable[[], None]:
+    """Return what publishes a velocity of 0.2 m/s by this name as one program, and ignores a refusal."""
+    program = made.hub.join("program of another topic")
+    program.advertise(name, "geometry_msgs/Twist")
+
+    def publish() -> None:
+        with contextlib.suppress(CommandRefused):
+            program.publish(name, struct.pack("<6d", 0.2, 0, 0, 0, 0, 0))
+
+    return publish
+
+
+async def publish_for(publish: Callable[[], None], duration_s: float) -> None:
+    """Publish ten times a second."""
+    for _ in range(round(duration_s / 0.1)):
+        publish()
+        await asyncio.sleep(0.1)
+
+
+def test_every_velocity_topic_of_the_robot_stops_when_one_of_its_boards_leaves() -> None:
+    async def test(made: MemoryHub) -> None:
+        events: list[RobotEvent] = []
+        made.hub.events.observe("test", events.append)
+        _, wheels = await connected(made, wheels=POSE)
+        infos = [
+            topic(EndpointKind.SUBSCRIBER, 101, "other/cmd_vel", "geometry_msgs/Twist"),
+            topic(EndpointKind.SUBSCRIBER, 102, "other/left_motor", "std_msgs/Int16"),
+        ]
+        arm = await made.connect(infos, address=ARM)
+        await asyncio.sleep(1.0)
+        publish = publisher_of(made, "/other/cmd_vel")
+        await publish_for(publish, 0.5)
+        assert velocities(arm, 101)[-1] == (0.2, 0.0)
+        made.hub.join("program").publish("/other/left_motor", struct.pack("<h", 50))
+        await wheels.aclose()
+        await publish_for(publish, 0.5)
+        assert arm.payloads(102)[-2:] == [struct.pack("<h", 50), bytes(2)]  # nothing guards it: it gets a zero
+        assert velocities(arm, 101)[-1] == (0.0, 0.0)
+        missing = f"robot r: its device {WHEELS} is not connected"
+        assert [each.facts["reason"] for each in events if each.kind is EventKind.STOPPED] == [missing]
+        refused = [each.facts["reason"] for each in events if each.kind is EventKind.REFUSED]
+        assert set(refused) == {f"/other/cmd_vel: {missing}"}
+        wheels = await made.connect(POSE, address=WHEELS)
+        await publish_for(publish, 1.0)
+        assert velocities(arm, 101)[-1] == (0.0, 0.0)  # its source has not let go
+        await asyncio.sleep(1.0)
+        await publish_for(publish, 0.5)
+        assert velocities(arm, 101)[-1] == (0.2, 0.0)
+
+    in_hub(test, THREE)
+
+
+@pytest.mark.parametrize("has_robot_been", [False, True])
+def test_board_of_a_robot_obeys_no_velocity_before_the_other_boards_are_there(has_robot_been: bool) -> None:
+    async def test(made: MemoryHub) -> None:
+        if has_robot_been:
+            motors, wheels = await connected(made, wheels=OTHER_COMMAND)
+            await motors.aclose()
+        else:
+            wheels = await made.connect(OTHER_COMMAND, address=WHEELS)
+        await asyncio.sleep(1.0)
+        publish = publisher_of(made, "/other/cmd_vel")
+        await publish_for(publish, 0.5)
+        assert set(velocities(wheels, 101)) == {(0.0, 0.0)}
+        await made.connect(COMMAND, address=MOTORS)
+        await publish_for(publish, 1.0)
+        assert set(velocities(wheels, 101)) == {(0.0, 0.0)}
+        await asyncio.sleep(1.0)
+        await publish_for(publish, 0.5)
+        assert velocities(wheels, 101)[-1] == (0.2, 0.0)
 
     in_hub(test, CHOSEN)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from hostlink.errors import RefusalKind
-from hostlink.robot.admission import BUNCH_S, INTERVAL_WEIGHT, LEASE_S, SLOW_S, UNORDERED_S, Admission, Command
+from hostlink.robot.admission import BUNCH_S, LEASE_S, SLOW_S, UNORDERED_S, Admission, Command
 from hostlink.robot.kinematics import PLANAR, AckermannDrive, DifferentialDrive, MecanumDrive
 from hostlink.robot.kinematics import Drive as RobotDrive
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
@@ -21,7 +21,16 @@ PRIORITIES = st.sampled_from([0, 50, 100])
 FORWARD, SIDEWAYS, IN_PLACE = PlanarVelocity(0.2), PlanarVelocity(0.2, 0.1), PlanarVelocity(yaw_rad_s=0.5)
 WITHOUT_Y = (Kinematics.DIFFERENTIAL, Kinematics.ACKERMANN)
 MAX_STAMP_AGE_S = 1.0
+FAR_S = 3 * SLOW_S  # between commands, so that few of them tell that their source is slow
+RECENT, MANY = 8, 20  # intervals
 TICK_S = 0.125  # every time is a multiple, so that no sum is rounded
+GAPS = st.one_of(  # ticks between the commands of a source: it is fast, slow, or first the one and then the other
+    st.lists(st.just(0), max_size=24),
+    st.lists(st.integers(1, 3), max_size=12),
+    st.tuples(st.lists(st.integers(0, 3), max_size=24), st.lists(st.integers(1, 3), max_size=12)).map(
+        lambda two: two[0] + two[1]
+    ),
+)
 
 
 @dataclass
@@ -40,12 +49,19 @@ class Heard:
     intervals_s: list[float] = field(default_factory=list)  # between commands for one topic, without a silence
 
     @property
-    def is_slow(self) -> bool:
-        """Whether two commands at once are unusual: by the mean of the intervals, in which the newest counts most."""
-        mean_s = self.intervals_s[0] if self.intervals_s else SLOW_S
-        for each in self.intervals_s:
-            mean_s += (each - mean_s) * INTERVAL_WEIGHT
-        return mean_s >= SLOW_S
+    def is_slow(self) -> bool | None:
+        """Whether two commands at once are unusual for the source; None if neither is promised.
+
+        It is unusual, if commands have always come apart, or if most of the last eight came far apart. It is usual, if
+        commands have always come together, or twenty times in a row.
+        """
+        are_apart = [each >= SLOW_S for each in self.intervals_s]
+        if all(are_apart):
+            return True
+        if not any(are_apart) or (len(are_apart) >= MANY and not any(are_apart[-MANY:])):
+            return False
+        are_far = [each >= FAR_S for each in self.intervals_s[-RECENT:]]
+        return True if len(are_far) == RECENT and 2 * sum(are_far) > RECENT else None
 
     def note_interval(self, topic: str, now_s: float) -> None:
         """Note the time since the command before, unless one of them ended a silence."""
@@ -65,8 +81,12 @@ class Heard:
 
     def is_bunched(self, topic: str, now_s: float) -> bool:
         """Whether a command follows an admitted one so closely, after a silence, that both waited for the network."""
+        return self.may_be_bunched(topic, now_s) and self.is_slow is True
+
+    def may_be_bunched(self, topic: str, now_s: float) -> bool:
+        """Whether it is bunched, if two commands at once are unusual for the source."""
         is_close = now_s < self.admitted_s.get(topic, float("-inf")) + BUNCH_S
-        return is_close and self.is_slow and now_s < self.resumed_s + LEASE_S
+        return is_close and now_s < self.resumed_s + LEASE_S
 
     def has_let_go(self, now_s: float) -> bool:
         return now_s >= self.last_s + LEASE_S
@@ -147,6 +167,8 @@ class History(RuleBasedStateMachine):
             drive = None
         heard.note_interval(topic, self.now_s)
         heard.resume(self.now_s - waited_s, self.now_s, self.interrupted_s)
+        if heard.is_slow is None and heard.may_be_bunched(topic, self.now_s):
+            seen, epoch = 1, self.admission.epoch  # what was not promised is not tried
         if heard.has_let_go(self.now_s - waited_s):
             heard.was_interrupted = heard.has_missed = heard.was_taken_over = False
             heard.commanded_s = {}
@@ -216,6 +238,19 @@ class History(RuleBasedStateMachine):
         """Give a command of the priority of most programs: with drawn ones, few sources are equal."""
         seen = 1 if has_seen else None
         self.source_drives(owner, 50, topic, 0, seen, None, FORWARD, is_planar=True, take_over=take_over)
+
+    @rule(owner=OWNERS, topic=TOPICS, gaps=GAPS, silence=st.integers(3, 6), after=st.integers(0, 1))
+    def commands_wait_together_over_a_stop(
+        self, owner: str, topic: str, gaps: list[int], silence: int, after: int
+    ) -> None:
+        """Drive, be stopped, and go on with two commands that the network may have delivered together."""
+        for ticks in (*gaps, 0):
+            self.time_passes(ticks)
+            self.equal_drives(owner, topic, take_over=False, has_seen=False)
+        self.robot_is_interrupted("stop", 8)
+        for ticks in (silence, after):
+            self.time_passes(ticks)
+            self.equal_drives(owner, topic, take_over=False, has_seen=False)
 
     @rule(owner=OWNERS, topic=TOPICS)
     def source_lets_go(self, owner: str, topic: str) -> None:

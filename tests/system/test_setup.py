@@ -54,7 +54,6 @@ async def test_setup_in_a_terminal_at_ctrl_c_writes_nothing(tmp_path: Path) -> N
         await terminal.shows("one of wifi, usb, both")
         await terminal.keys("wifi", "Enter")
         await terminal.shows("2/10  From which network")
-        await terminal.keys("C-c")
-        assert "\nstatus 130" in await terminal.shows("status 130")
+        assert "\nstatus 130" in await terminal.interrupt("status 130")
         assert "Traceback" not in await terminal.text()
     assert not file.exists()

@@ -181,11 +181,68 @@ def test_encoders_that_are_wrong_are_refused_with_their_reason(tmp_path: Path, l
     [
         ('words = {topic="c", forward="F", backward="B", left="L", right="R", stop=""}', "stop must not be empty"),
         ('words = {topic="c", forward="S", backward="B", left="L", right="R", stop="S"}', "must differ from the words"),
+        (
+            'words = {topic="c", forward="F", backward="F", left="L", right="R", stop="S"}',
+            "words.forward and words.backward are one word, 'F': give each its own",
+        ),
+        (
+            'words = {topic="c", forward="F", backward="B", left="L", right="B", stop="S"}',
+            "words.backward and words.right are one word, 'B': give each its own",
+        ),
         ('wheels = {topics=["m", "m"], unit="pwm"}', "names one topic twice"),
+        (
+            'command_topic = "foo"\nnot_commands = ["bar", "foo"]',
+            "'foo' is the command of the robot and one of not_commands: remove it from one of them",
+        ),
+        ('wheels = {topics=["l", "r"]}\nnot_commands = ["r"]', "'r' is the command of the robot and one of not_com"),
+        ('joy = {topic="j"}\nnot_commands = ["j"]', "'j' is the command of the robot and one of not_commands"),
+        ('vector = {topic="j"}\nnot_commands = ["j"]', "'j' is the command of the robot and one of not_commands"),
+        ('throttle = {topics=["a", "j"]}\nnot_commands = ["j"]', "'j' is the command of the robot and one of not_"),
+        ("devices = []", "devices must not be empty: name the robot's boards, or remove the line"),
+        ('wheels = {topics=["l"], unit="pwm", full=0}', "wheels.full must be a finite number above zero, not 0"),
+        (
+            'wheels = {topics=["l"], unit="pwm", full=-255}',
+            "wheels.full must be a finite number above zero, not -255; a wheel that turns the other way has -1 in",
+        ),
+        ('wheels = {topics=["l"], unit="pwm", full=nan}', "wheels.full must be a finite number above zero, not nan"),
+        ('wheels = {topics=["l"], unit="pwm", rest=inf}', "wheels.rest must be a finite number, not inf"),
+        (
+            'wheels = {topics=["l"], unit="pwm", full=2000, rest=1500}',
+            "wheels.full is added to wheels.rest and subtracted from it: -500 to 3500; for 1000 to 2000 with "
+            "rest = 1500 set full = 500",
+        ),
+        ('throttle = {topics=["a", "b"], unit="pwm", full=0}', "throttle.full must be a finite number, not zero"),
+        ('throttle = {topics=["a", "b"], steering_full=nan}', "throttle.steering_full must be a finite number, not"),
+        (
+            'throttle = {topics=["a", "b"], steering_full=180, steering_rest=90}',
+            "throttle.steering_full is added to throttle.steering_rest and subtracted from it: -90 to 270",
+        ),
+        ('joy = {topic="j", x_axis=1, yaw_axis=1}', "joy.x_axis and joy.yaw_axis are one axis, 1: give each its own"),
     ],
 )
-def test_command_that_cannot_stop_or_says_one_topic_twice_is_refused(tmp_path: Path, text: str, problem: str) -> None:
+def test_settings_of_a_robot_that_contradict_each_other_are_refused(tmp_path: Path, text: str, problem: str) -> None:
     path = tmp_path / "hostlink.toml"
-    path.write_text(f"[robots.r]\n{text}\n")
-    with pytest.raises(ConfigError, match=problem):
+    path.write_text(f"[robots.other]\n[robots.r]\n{text}\n")
+    with pytest.raises(ConfigError, match=rf"{re.escape(problem)}.*`\$\.robots\.r[.`]"):
         load(path)
+
+
+def test_motors_with_their_own_rest_and_a_reversed_throttle_are_accepted(tmp_path: Path) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_text(
+        '[robots.servo.wheels]\ntopics = ["l", "r"]\nunit = "pwm"\nfull = 90\nrest = 90\n'
+        '[robots.car.throttle]\ntopics = ["t", "s"]\nunit = "pwm"\nfull = -500\nrest = 1500\nsteering_full = -0.5\n'
+    )
+    robots = load(path).robots
+    assert (robots["servo"].wheels, robots["car"].throttle) != (None, None)
+
+
+@pytest.mark.parametrize("second", ['devices = ["10.0.0.4", "10.0.0.2"]', 'address = "10.0.0.2"'])
+def test_board_of_two_robots_is_refused(tmp_path: Path, second: str) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_text(f'[robots.a]\ndevices = ["10.0.0.2", "10.0.0.3"]\n[robots.b]\n{second}\n')
+    problem = "10.0.0.2 is a device of robots.a and of robots.b: remove it from one of them"
+    with pytest.raises(ConfigError, match=re.escape(problem)):
+        load(path)
+    path.write_text('[robots.a]\ndevices = ["10.0.0.2:4001"]\n[robots.b]\ndevices = ["10.0.0.2:4002"]\n')
+    assert len(load(path).robots) == 2

@@ -1,7 +1,7 @@
 """Drives of robots: wheel speeds, odometry and possible velocities. Metres, radians, seconds; x forward, y left."""
 
 from hostlink.robot.kinematics.ackermann import AckermannDrive, Steering
-from hostlink.robot.kinematics.choice import DRIVES, SETTINGS, drive_of
+from hostlink.robot.kinematics.choice import DRIVES, SETTINGS, WHEELS_NEED, drive_of
 from hostlink.robot.kinematics.drive import PLANAR, Drive, PlanarDrive
 from hostlink.robot.kinematics.pose import (
     SMALL_ANGLE_RAD,
@@ -20,6 +20,7 @@ __all__ = [
     "PLANAR",
     "SETTINGS",
     "SMALL_ANGLE_RAD",
+    "WHEELS_NEED",
     "AckermannDrive",
     "DifferentialDrive",
     "Drive",

@@ -29,6 +29,15 @@ SETTINGS = (  # dimensions of a drive; None: not configured
     "wheel_angles_deg",
 )
 
+WHEELS_NEED = {  # dimensions without which the speeds of a drive's wheels are not known
+    "differential": ("wheel_separation_m",),
+    "skid_steer": ("wheel_separation_m",),
+    "mecanum": ("wheel_separation_m", "wheelbase_m"),
+    "omni3": ("wheel_distance_m",),
+    "omni4": ("wheel_distance_m",),
+    "ackermann": ("wheel_separation_m",),
+}
+
 
 def drive_of(kinematics: str, dimensions: Mapping[str, Any]) -> Drive:
     """Return the drive of `kinematics` with the dimensions of SETTINGS that are not None.

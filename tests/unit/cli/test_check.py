@@ -11,12 +11,14 @@ from hostlink.cli.check import FEWEST, check, describe, fitted
 from hostlink.config import (
     ApiConfig,
     Config,
+    EncodersConfig,
     LinkConfig,
     RecordingConfig,
     RobotConfig,
     SerialConfig,
     TcpConfig,
     TokenConfig,
+    WheelsConfig,
     ZenohConfig,
 )
 from hostlink.errors import ConfigError
@@ -39,7 +41,11 @@ def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
     config = Config(
         tcp=TcpConfig(allow=("192.168.4.0/24", "10.0.0.7")),
         serial=(SerialConfig(path="/dev/ttyACM0"), SerialConfig(usb_serial="7543", baud=(57600, 115200))),
-        robots={"robot_0": RobotConfig(address="7543"), "robot_1": RobotConfig()},
+        robots={
+            "robot_0": RobotConfig(address="7543"),
+            "robot_1": RobotConfig(),
+            "robot_2": RobotConfig(devices=("10.0.0.8", "10.0.0.9")),
+        },
         parameters={"gain": 1.0},
         message_folders=(tmp_path,),
     )
@@ -52,6 +58,7 @@ def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
         "programs on http://127.0.0.1:9090",
         "robot robot_0, 7543",
         "robot robot_1, known by its topics",
+        "robot robot_2, 10.0.0.8 and 10.0.0.9",
         f"messages in {tmp_path}",
         "1 parameter",
     ]
@@ -99,6 +106,37 @@ def test_report_says_from_where_a_zenoh_session_can_be_reached() -> None:
             Config(robots={"a": RobotConfig(kinematics="mecanum", wheelbase_m=-0.2)}),
             "robots.a.wheelbase_m: -0.2 is not allowed; choose a finite number above 0",
         ),
+        *(
+            (Config(robots={"a": RobotConfig(wheels=WheelsConfig(topics=topics), kinematics=kinematics)}), problem)  # type: ignore[arg-type]
+            for topics, kinematics, problem in [
+                (
+                    ("fl", "fr", "rl", "rr"),
+                    "mecanum",
+                    'robots.a: kinematics = "mecanum" needs wheel_separation_m and wheelbase_m, without which the',
+                ),
+                (("1", "2", "3"), "omni3", 'robots.a: kinematics = "omni3" needs wheel_distance_m, without which the'),
+                (("l", "r"), "ackermann", 'robots.a: kinematics = "ackermann" needs wheel_separation_m, without which'),
+                (
+                    ("l", "r"),
+                    "planar",
+                    'robots.a: kinematics = "planar" has no wheels: choose the drive of the robot, ',
+                ),
+                (("l", "r", "m"), "", "robots.a: 3 topics for 2 wheels; give one for each, in order"),
+                (("l", "r"), "skid_steer", "robots.a: 2 topics for 4 wheels; give one for each, in order"),
+            ]
+        ),
+        (
+            Config(robots={"a": RobotConfig(wheels=WheelsConfig(topics=("l", "r"), unit="rpm"))}),
+            'robots.a: unit = "rpm" needs wheel_radius_m',
+        ),
+        (
+            Config(robots={"a": RobotConfig(wheels=WheelsConfig(topics=("m",), unit="rpm"))}),
+            'robots.a: unit = "rpm" needs wheel_radius_m',
+        ),
+        (
+            Config(robots={"a": RobotConfig(wheels=WheelsConfig(topics=("j",), joints=("l", "r", "m")))}),
+            "robots.a: a JointState for 2 wheels needs as many names in `joints`",
+        ),
         (
             Config(robots={"a": RobotConfig(uart_bytes_s=0)}),
             "robots.a.uart_bytes_s: 0 is not allowed; choose a finite number above 0",
@@ -128,8 +166,16 @@ def test_configuration_that_cannot_be_served_is_refused(config: Config, problem:
     ("config", "warning"),
     [
         (
+            Config(robots={"a": RobotConfig(address="192.168.4:80")}),
+            "robots.a.address 192.168.4:80 is neither an IP address, with or without a port, nor the name of a [[seri",
+        ),
+        (
+            Config(robots={"a": RobotConfig(address="10.0.0.1:99999")}),
+            "robots.a.address 10.0.0.1:99999 is neither an IP address",
+        ),
+        (
             Config(robots={"a": RobotConfig(address="192.168.4")}),
-            "robots.a.address 192.168.4 is neither an IP address nor the name of a [[serial]] port",
+            "robots.a.address 192.168.4 is neither an IP address, with or without a port, nor the name of a [[seri",
         ),
         (
             Config(robots={"a": RobotConfig(address="10.0.0.1"), "b": RobotConfig(address="10.0.0.1")}),
@@ -153,6 +199,10 @@ def test_configuration_that_cannot_be_served_is_refused(config: Config, problem:
         (
             Config(robots={"a": RobotConfig(max_wheel_m_s=0.3, kinematics="mecanum", wheelbase_m=0.2)}),
             "robots.a.max_wheel_m_s needs wheel_separation_m, without which",
+        ),
+        (
+            Config(robots={"a": RobotConfig(encoders=EncodersConfig(topic="ticks"))}),
+            "robots.a.encoders needs wheel_separation_m, without which they tell only whether the robot moves",
         ),
         (
             Config(robots={"a": RobotConfig(kinematics="ackermann", wheelbase_m=0.2)}),
@@ -201,6 +251,16 @@ def test_sensible_settings_have_no_warning() -> None:
         "robot_1": RobotConfig(odom_topic="", cmd_vel_topic=""),
     }
     assert checked(Config(robots=robots)) == []
+
+
+@pytest.mark.parametrize("address", ["10.0.0.1", "10.0.0.1:11411", "fe80::1", "[fe80::1]:11411"])
+def test_address_with_or_without_a_port_has_no_warning(address: str) -> None:
+    assert checked(Config(robots={"a": RobotConfig(address=address)})) == []
+
+
+def test_six_numbers_with_a_limit_of_wheels_and_one_wheel_topic_are_checked() -> None:
+    assert checked(Config(robots={"a": RobotConfig(kinematics="spatial", max_wheel_m_s=0.3)})) == []
+    assert checked(Config(robots={"a": RobotConfig(wheels=WheelsConfig(topics=("speeds",)))})) == []
 
 
 def test_the_address_of_a_port_is_none_of_a_network() -> None:

@@ -9,16 +9,18 @@ import pytest
 import typer
 
 from hostlink.cli.robots import _halt, _lock, _stop, _unlock
-from hostlink.client import Host, Robot, Standstill, StandstillState, Stopped
+from hostlink.client import Host, Robot, Standstill, StandstillState, Stopped, StoppedRobot
 from hostlink.errors import CommandRefused, HostlinkError
+from hostlink.hub.device import CommandEndpoint
 from hostlink.protocol.endpoint import EndpointKind
 from tests.support.background import cancelling
 from tests.support.fake_device import topic
 from tests.support.memory_client import memory_host
 from tests.support.memory_hub import SETTLED_S, MemoryHub, in_hub
 from tests.support.participants import publish
+from tests.support.remote_robots import RecordingHosts, connected_robot
 
-STOPPED = Standstill(StandstillState.STOPPED, 0.0, 0.0, 0.0)
+STOPPED = StoppedRobot(StandstillState.STOPPED, 0.0, 0.0, 0.0)
 
 
 class _Host:
@@ -71,7 +73,7 @@ def halted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     asked: list[str] = []
 
     def noting(word: str) -> Any:
-        async def halt(robot: Any, **_: object) -> Standstill:
+        async def halt(robot: Any, **_: object) -> StoppedRobot:
             asked.append(f"{word} {robot.name}")
             return STOPPED
 
@@ -85,7 +87,7 @@ def halted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 async def test_no_stop_waits_for_a_robot_whose_daemon_does_not_answer(capsys: pytest.CaptureFixture[str]) -> None:
     is_near_stopped = asyncio.Event()
 
-    async def stop(robot: Robot, *, wait_s: float) -> Standstill:
+    async def stop(robot: Robot, *, wait_s: float) -> StoppedRobot:
         if robot.name == "far":
             await is_near_stopped.wait()
             raise HostlinkError("far does not answer")
@@ -160,6 +162,37 @@ def outcome(work: Coroutine[Any, Any, None], capsys: pytest.CaptureFixture[str])
         return status, capsys.readouterr().out.splitlines()
 
     return run()
+
+
+class OtherDaemons(RecordingHosts):
+    """Other daemons, of which one has a robot with a topic that nothing guards. Two orders are on their way."""
+
+    async def settled(self) -> list[CommandEndpoint]:  # type: ignore[override]
+        far = CommandEndpoint(
+            4, "10.0.0.9", "far", "/far/motor", "std_msgs/Int16", is_guarded=False, is_locked=True, host="lab"
+        )
+        return [far, far._replace(robot="another", topic="/another/motor")]
+
+
+@pytest.mark.parametrize("verb", ["stop", "lock"])
+def test_unguarded_topics_of_a_robot_of_another_daemon_are_named_as_those_of_one_here(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def test(made: MemoryHub, host: Host) -> None:
+        made.hub.gates.reach(OtherDaemons())  # type: ignore[arg-type]
+        connected_robot(made.hub, "far", OtherDaemons())
+        await made.connect([CAR, MOTOR])
+        for names in (["far"], ["far", "car"]):
+            work = _stop(host, names, json=False) if verb == "stop" else _lock(host, names, "a foot", json=False)
+            status, lines = await outcome(work, capsys)
+            named = [line.split(" of link ")[0] for line in lines if " of link " in line]
+            assert named == ["/far/motor", "/left_motor"][: len(names)]
+            assert next(line for line in lines if "/far/motor" in line).startswith(
+                "/far/motor of link 4 (10.0.0.9) at lab"
+            )
+            assert status == (1 if verb == "stop" else 0)
+
+    in_daemon(test)
 
 
 def test_lock_of_all_holds_for_a_robot_and_a_board_without_one(capsys: pytest.CaptureFixture[str]) -> None:

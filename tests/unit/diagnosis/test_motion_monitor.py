@@ -27,6 +27,7 @@ def found(monitor: MotionMonitor, now_s: float = 1.0, **facts: object) -> dict[s
     ("flaw", "code", "detail"),
     [
         ("not_finite", "bad_pose", "10 poses with NaN or infinity of 10 messages on /odom"),
+        ("too_far", "bad_pose", "10 poses farther than 1000 km away of 10 messages on /odom"),
         ("zero_quaternion", "bad_quaternion", "10 orientations that are four zeros of 10 messages on /odom"),
         ("bad_quaternion", "bad_quaternion", "10 orientations of a length far from 1 of 10 messages on /odom"),
         (
@@ -49,8 +50,16 @@ def test_flaw_of_most_messages_is_a_finding_until_they_are_old(flaw: str, code: 
     assert found(monitor, 2.0 + RECENT_S) == {}
 
 
+def test_bad_poses_of_two_kinds_are_one_finding() -> None:
+    monitor = monitored(("not_finite",), 2)
+    for number in range(2):
+        monitor.observe(("too_far",), 0.2 + number * 0.1)
+    detail = "2 poses with NaN or infinity, 2 poses farther than 1000 km away of 4 messages on /odom"
+    assert found(monitor) == {"bad_pose": detail}
+
+
 @pytest.mark.parametrize(
-    "flaw", ["not_finite", "zero_quaternion", "heading_in_z", "sent_back", "zero_stamp", "zero_covariance"]
+    "flaw", ["not_finite", "too_far", "zero_quaternion", "heading_in_z", "sent_back", "zero_stamp", "zero_covariance"]
 )
 def test_flaw_of_two_messages_is_not_a_finding(flaw: str) -> None:
     monitor = monitored((flaw,), 2)

@@ -28,7 +28,13 @@ def test_pose_that_is_sent_back_is_not_odometry_and_is_a_finding() -> None:
         await asyncio.sleep(1.0)
         assert robot.odometry.count == SENT_BACK - 1
         assert robot.measured(asyncio.get_running_loop().time()) is None
+        assert robot.state(made.now_s).odometry is None  # also those before it was known
         assert robot.why_unknown() == f"it sent {31 - SENT_BACK} poses that it was given in the last 30 s"
         assert "pose_sent_back" in robot.state(asyncio.get_running_loop().time()).device_errors
+        await device.send(ODOMETRY, struct.pack("<3d", 0.5, 0.25, 0))
+        await asyncio.sleep(0.1)
+        odometry = robot.state(made.now_s).odometry
+        assert odometry is not None
+        assert odometry.pose == (0.5, 0.25, 0.0)
 
     in_hub(test)

@@ -128,6 +128,12 @@ async def test_new_poses_call_the_followers_and_known_ones_do_not(made: MemoryHu
     for _ in range(2):
         robot.update(state, epoch=1)
     assert (calls, robot.admission.lease_s) == ([None], 0.3)
+    robot.update(robot.known, epoch=1)
+    assert robot.state(made.now_s).odometry is not None
+    robot.update(msgspec.structs.replace(state, odometry=None), epoch=1)  # it was none, its daemon says
+    assert robot.state(made.now_s).odometry is None
+    robot.update(state, epoch=1)
+    assert calls == [None, None]
 
 
 @inside(in_hub)

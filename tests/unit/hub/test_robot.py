@@ -360,6 +360,19 @@ async def test_poses_with_nan_age_the_last_good_one_and_are_named(made: MemoryHu
 
 
 @inside(in_hub)
+async def test_poses_of_another_planet_are_named_and_are_not_odometry(made: MemoryHub) -> None:
+    device = await made.connect()
+    for number in range(20):
+        await device.send(125, struct.pack("<3d", 1e308 * (-1) ** number, 1e308, 1e300))
+        await asyncio.sleep(0.1)
+    await asyncio.sleep(1.0)
+    robot = made.robot()
+    assert robot.odometry.snapshot(made.now_s) is None
+    assert robot.why_unknown() == "it sent 20 poses farther than 1000 km away in the last 30 s"
+    assert "bad_pose" in robot.state(made.now_s).device_errors
+
+
+@inside(in_hub)
 async def test_driven_robot_whose_odometry_runs_backwards_is_found(made: MemoryHub) -> None:
     device = await made.connect()
     robot = made.robot()

@@ -81,6 +81,25 @@ def test_lock_of_all_holds_for_a_robot_and_for_a_board_without_one() -> None:
     in_hub(test)
 
 
+@pytest.mark.parametrize("address", ["10.0.0.2", "10.0.0.3"])  # of the board that commands the robot, or of another
+def test_lock_and_stop_send_one_zero_to_an_unguarded_endpoint_of_a_robot(address: str) -> None:
+    async def test(made: MemoryHub) -> None:
+        velocity = topic(EndpointKind.SUBSCRIBER, TWIST, "/cmd_vel", TWIST_TYPE)
+        boards = {each: [velocity] if each == "10.0.0.2" else [] for each in ("10.0.0.2", "10.0.0.3")}
+        boards[address] += board()
+        devices = {each: await made.connect(infos, address=each) for each, infos in boards.items()}
+        for act in (lambda: made.hub.robots.lock_all("a foot"), made.hub.robots.stop_all, made.robot("r").lock):
+            await asyncio.sleep(SETTLED_S)
+            devices[address].heard.clear()
+            replaced = devices[address].link.session.outbox.replaced
+            act()
+            await asyncio.sleep(SETTLED_S)
+            assert devices[address].payloads(LEFT) == [ZERO]
+            assert devices[address].link.session.outbox.replaced == replaced  # no zero replaced a first one
+
+    in_hub(test, Config(robots={"r": RobotConfig(devices=("10.0.0.2", "10.0.0.3"))}))
+
+
 def test_lock_of_all_survives_a_reconnection_and_holds_for_what_connects_later() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect(board())

@@ -377,6 +377,11 @@ def test_words_that_do_not_fit_the_type_are_refused(type_name: str, word: str) -
         WordCommand(topic(type_name), Words(word, "1", "1", "1", "1"), FULL)
 
 
+def test_words_that_are_one_number_are_refused() -> None:
+    with pytest.raises(ConfigError, match="are one value of std_msgs/Int16"):
+        WordCommand(topic("std_msgs/Int16"), Words("1", "2", "3", "0.0", "0"), FULL)
+
+
 def test_words_without_limits_compare_as_they_are() -> None:
     (payload,) = WordCommand(topic(STRING_TYPE), WORDS, ZERO).encode(PlanarVelocity(0.1, 0.0, 0.2))
     assert fields(STRING_TYPE, payload) == {"data": "L"}

@@ -11,6 +11,7 @@ from hostlink.robot.model import (
     Endpoint,
     RobotTopicNames,
     Role,
+    Suggestion,
     actuators,
     find_robot,
     is_velocity,
@@ -19,6 +20,7 @@ from hostlink.robot.model import (
     namespace_of,
     roles,
     select,
+    suggest,
     suggestion,
     unguarded,
 )
@@ -427,6 +429,32 @@ def test_suggestion_for_each_type() -> None:
 def test_suggestion_for_a_robot_lets_its_lock_refuse_the_topics_and_keeps_its_command() -> None:
     text = suggestion([to("motor", INT16), to("target", TWIST)], "a", "10.0.0.1", is_robot=True)
     assert tomllib.loads(text) == {"robots": {"a": {"locked_topics": ["motor", "target"]}}}
+
+
+def test_suggestion_for_a_robot_with_any_name_is_toml() -> None:
+    text = suggestion([to("motor", INT16)], "fleet/robot 0", "10.0.0.1", is_robot=True)
+    assert tomllib.loads(text)["robots"] == {"fleet/robot 0": {"locked_topics": ["motor"]}}
+
+
+def test_suggestions_for_several_devices_are_one_file_of_toml() -> None:
+    boards = [
+        ([to("foo", TWIST)], "10.0.0.1", "10.0.0.1:4001"),
+        ([to("foo", TWIST), to("led", INT16)], "10.0.0.1", "10.0.0.1:4002"),  # equal: it shares the lines
+        ([to("foo", TWIST)], "10.0.0.2", "10.0.0.2:4003"),
+        ([to("foo", STRING_TYPE)], "10.0.0.1", "10.0.0.1:4004"),
+        ([to("foo", JOY_TYPE)], "/dev/ttyUSB0", "/dev/ttyUSB0"),
+    ]
+    others: dict[str, Suggestion | None] = {"foo_4": None}
+    for suspects, address, peer in boards:
+        new = suggest(suspects, "foo", address, peer, others)
+        others[new.name] = new
+    lines = "\n".join(each.lines for each in others.values() if each is not None)
+    assert {name: each["address"] for name, each in tomllib.loads(lines)["robots"].items()} == {
+        "foo": "10.0.0.1",
+        "foo_2": "10.0.0.2",
+        "foo_3": "10.0.0.1:4004",
+        "foo_5": "/dev/ttyUSB0",
+    }
 
 
 def test_suggestion_for_a_car_and_for_a_vector() -> None:

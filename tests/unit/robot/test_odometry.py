@@ -224,6 +224,15 @@ def test_odometry_restarts_with_the_device_if_configured() -> None:
     assert observed(view).restarts == 1
 
 
+def test_odometry_that_was_withdrawn_begins_with_the_next_pose() -> None:
+    view = after_a_restart(continues=True)
+    view.withdraw()
+    assert view.snapshot(4.0) is None
+    view.update(Pose(7.0, 8.0, 0.5), now_s=4.0, wall_ns=4)
+    found = observed(view, 4.0)
+    assert (found.pose, found.twist, found.restarts) == (Pose(7.0, 8.0, 0.5), PlanarVelocity(), 1)
+
+
 @pytest.mark.parametrize("continues", [True, False])
 def test_a_requested_reset_begins_at_the_origin(continues: bool) -> None:
     view = after_a_restart(continues=continues)

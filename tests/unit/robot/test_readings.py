@@ -45,6 +45,14 @@ def payload(type_name: str, message: dict[str, Any]) -> bytes:
     return message_type(type_name).encode(message)
 
 
+@pytest.mark.parametrize("type_name", POSE_TYPES)
+@pytest.mark.parametrize("x", [1e6, -1e150])
+def test_reader_believes_no_pose_that_no_robot_can_reach(type_name: str, x: float) -> None:
+    message = {"x": 0.0, "y": x} if type_name == POSE_TYPE else message_of(type_name, QUARTER, x)
+    reading = READERS[type_name](payload(type_name, message))
+    assert (reading.pose, reading.flaws) == (None, (Flaw.TOO_FAR,))
+
+
 QUATERNION_TYPES = [name for name in POSE_TYPES if name != POSE_TYPE]
 
 
