@@ -273,6 +273,7 @@ class UdpAcceptor(_Acceptor):
             dropped=self._hub.counts.datagrams_dropped,
             on_other=lambda other: self.receive(port, other),
             on_limited=lambda: self._count("unverified", peer, address),
+            keeps_datagrams=self._protocol.keeps_datagrams,
         )
         session = _Session(self._hub.links.open(transport, self._protocol), transport)
         self._sessions[datagram.source[:2]] = session

@@ -258,6 +258,7 @@ class DeviceProtocol(ABC):
 
     name: str
     invitation = b""  # sent to a silent device of a datagram port, which then begins
+    keeps_datagrams = False  # whether a session gets each datagram whole and by itself
 
     @abstractmethod
     def session(

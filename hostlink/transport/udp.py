@@ -10,7 +10,7 @@ import contextlib
 import errno
 import socket
 import sys
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -240,8 +240,9 @@ class UdpTransport:
         dropped: Counter[str],
         on_other: Callable[[Datagram], object],
         on_limited: Callable[[], None] = lambda: None,
+        keeps_datagrams: bool = False,
     ) -> None:
-        """`first` is the datagram that began the session.
+        """`first` is the datagram that began the session. `keeps_datagrams`: each `read` returns one, whole.
 
         `on_other` gets datagrams of other sources that arrived before the socket was connected.
 
@@ -254,6 +255,7 @@ class UdpTransport:
         self._dropped, self._on_other, self._on_limited = dropped, on_other, on_limited
         self._on_readable: Callable[[], None] = ignore
         self._received = bytearray()
+        self._lengths: deque[int] | None = deque() if keeps_datagrams else None  # of the datagrams in `_received`
         self._unsent: list[bytes] = []
         self.is_behind = False  # whether the kernel may have more datagrams
         self._is_reading = self._is_closed = False
@@ -291,13 +293,15 @@ class UdpTransport:
         return self._is_closed or self._error is not None
 
     def read(self, limit_bytes: int) -> bytes:
-        """Return received bytes; b"" when none are unread, and after `aclose`.
+        """Return received bytes, or the next datagram; b"" when none are unread, and after `aclose`.
 
         Raises:
             OSError: the device's port is closed, and every byte before was read.
         """
         if not self._received and self._error is not None:
             raise self._error
+        if self._lengths:
+            limit_bytes = self._lengths.popleft()
         data = bytes(self._received[:limit_bytes])
         del self._received[:limit_bytes]
         self._read_on()
@@ -362,6 +366,8 @@ class UdpTransport:
 
     def _add(self, data: bytes) -> None:
         self._received += data
+        if self._lengths is not None and data:
+            self._lengths.append(len(data))
         self._allowance.earn(len(data))
         self._progress.set()
 

@@ -65,16 +65,20 @@ class World:
                 self.came.append(self.theirs.recv(65536))
 
 
+def connect(ours: socket.socket, theirs: socket.socket) -> None:
+    for each in (ours, theirs):
+        each.setblocking(False)
+        each.bind(("127.0.0.1", 0))
+    ours.connect(theirs.getsockname())
+    theirs.connect(ours.getsockname())
+
+
 async def play(steps: list[tuple[str, int]], *, is_verified: bool) -> World:
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as theirs,
     ):
-        for each in (ours, theirs):
-            each.setblocking(False)
-            each.bind(("127.0.0.1", 0))
-        ours.connect(theirs.getsockname())
-        theirs.connect(ours.getsockname())
+        connect(ours, theirs)
         world = World(ours, theirs, is_verified=is_verified)
         world.transport.start(lambda: None)
         for what, size in steps:
@@ -102,3 +106,38 @@ def test_received_bytes_are_read_in_order_and_sends_stay_within_the_allowance(
         written = sum(size for what, size in steps if what == "write")
         assert sum(map(len, world.came)) == written
     assert not world.dropped["too_large"]
+
+
+@given(steps=st.lists(st.tuples(st.sampled_from(["receive", "feed", "read"]), st.integers(1, 1400)), max_size=30))
+def test_kept_datagrams_are_read_whole_and_one_by_one(steps: list[tuple[str, int]]) -> None:
+    async def run() -> None:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as theirs,
+        ):
+            connect(ours, theirs)
+            first, sent, found = Datagram(FIRST, theirs.getsockname(), ours.getsockname()), [FIRST], list[bytes]()
+            transport = UdpTransport(
+                ours, first, is_verified=True, dropped=Counter(), on_other=lambda _: None, keeps_datagrams=True
+            )
+            transport.start(lambda: None)
+            for number, (what, size) in enumerate(steps):
+                data = bytes([number]) * size
+                if what == "read":
+                    found.append(transport.read(size))
+                elif transport.unread_bytes < READ_BYTES:
+                    sent.append(data)
+                    if what == "feed":
+                        transport.feed(data)
+                    else:
+                        theirs.send(data)
+                        await asyncio.sleep(0)
+                        await asyncio.sleep(0)
+            while transport.unread_bytes:
+                found.append(transport.read(1))
+            assert sorted(each for each in found if each) == sorted(
+                sent
+            )  # over the two sockets they may overtake each other
+            await transport.aclose()
+
+    asyncio.run(run())
