@@ -31,10 +31,12 @@ class GuardedConnection:
         self.is_open = True
         self._is_serial = os.isatty(descriptor)
         self._is_udp = not self._is_serial and _is_udp(descriptor)
+        self._part_bytes = UNLIMITED
+        if self._is_udp:  # without a claim, the protocol keeps datagrams: each frame is one
+            self._part_bytes = DATAGRAM_BYTES if claim_bytes else 0
         if self._is_udp and claim_bytes <= DATAGRAM_BYTES:
             claim_bytes = 0  # such a frame was sent as one datagram, whole or not at all
         self._zeros, self._claim_bytes = zeros, claim_bytes
-        self._part_bytes = DATAGRAM_BYTES if self._is_udp else UNLIMITED
         self._writer = StopWriter(zeros, claim_bytes, end, part_bytes=self._part_bytes)
         self._holding = self._writer  # used by `hold`
         self._is_readable = True  # until the end of the stream was read

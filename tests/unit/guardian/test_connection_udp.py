@@ -77,6 +77,12 @@ def test_frames_of_many_endpoints_are_whole_in_as_few_datagrams_as_possible(
     assert received(device) == both * ZEROS + [STOP_REQUEST] * is_end
 
 
+def test_frames_of_a_protocol_that_keeps_datagrams_are_one_each(pair: tuple[socket.socket, socket.socket]) -> None:
+    ours, device = pair
+    play(guarded(ours, claim_bytes=0, zeros=(ZERO, STOP_REQUEST)))
+    assert received(device) == [ZERO, STOP_REQUEST] * ZEROS + [STOP_REQUEST]
+
+
 def test_zeros_cover_the_length_of_frames_in_several_datagrams(
     pair: tuple[socket.socket, socket.socket],
 ) -> None:
