@@ -1,12 +1,13 @@
 """Evidence of a link, of its serial port and of the host's own clock. Pure; both times are arguments."""
 
 import errno
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hostlink.diagnosis.finding import Finding, finding
 from hostlink.diagnosis.motion_monitor import NO_MOTION, MotionEvidence
+from hostlink.protocol.noise import Noise, explain_unreadable
 
 # -- host clock -------------------------------------------------------------------------------------------------------
 
@@ -124,9 +125,10 @@ class Evidence:
     time_intervals_s: tuple[float, ...] = ()  # between unprovoked time requests
     stamps_behind_s: float | None = None  # arrival time minus the device's header stamps
     sharing: PortSharing = UNSHARED  # of a serial port
-    early_non_rosserial: bytes = b""  # last bytes skipped before the first negotiation
-    non_rosserial: bytes = b""  # recently skipped bytes
-    is_protocol_1: bool = False
+    early_noise: bytes = b""  # last bytes skipped before the first negotiation
+    skipped: bytes = b""  # recently skipped bytes
+    is_outdated: bool = False  # it speaks an older version of its protocol
+    explain_noise: Callable[[Noise], tuple[str, str] | None] = explain_unreadable  # of the device's protocol
     refused: tuple[str, ...] = ()  # reasons of refused topics, one text each
     too_small: tuple[str, ...] = ()  # messages that exceed a buffer, one text each
     complaints: Mapping[str, Complaint] = field(default_factory=dict)  # by the code of their finding
@@ -137,3 +139,20 @@ class Evidence:
     host_clock: str = ""  # what is wrong with this computer's clock
     motion: MotionEvidence = NO_MOTION  # of the messages that tell how the robot moves
     noted: Mapping[str, str] = field(default_factory=dict)  # what only the hub knows: details by code of their finding
+
+    @property
+    def noise(self) -> Noise:
+        """The bytes that are not of the device's protocol."""
+        return Noise(
+            age_s=self.age_s,
+            is_negotiated=self.negotiated_s is not None,
+            received_bytes=self.recent.bytes_from_device,
+            skipped_bytes=self.recent.skipped_bytes,
+            frames=self.recent.frames,
+            bad_checksums=self.recent.bad_checksums,
+            all_skipped_bytes=self.total.skipped_bytes,
+            sample=self.skipped,
+            early=self.early_noise,
+            baud=self.baud,
+            is_outdated=self.is_outdated,
+        )

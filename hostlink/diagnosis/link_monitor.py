@@ -76,7 +76,7 @@ class LinkMonitor:
     """
 
     __slots__ = (
-        "_complaints", "_device_complaint", "_early_non_rosserial", "_excluded", "_fell_silent", "_intervals_s",
+        "_complaints", "_device_complaint", "_early_noise", "_excluded", "_fell_silent", "_intervals_s",
         "_is_fresh", "_is_provoked", "_least_bytes", "_negotiated_at_s", "_opened_at_s", "_previous_at_s",
         "_revived_at_s", "_samples",
         "_session", "_signal", "_stamps_behind_s", "_time_requested_at_s", "_unknown_before", "_was_host_away", "baud",
@@ -95,7 +95,7 @@ class LinkMonitor:
         self._opened_at_s = now_s
         self._samples = _Samples(now_s, NO_COUNTS)
         self._negotiated_at_s: float | None = None
-        self._early_non_rosserial = b""
+        self._early_noise = b""
         self._unknown_before = 0  # unknown ids that the last negotiation explained
         self._is_provoked = False  # a device sends a time request with its topics
         self._is_fresh = False  # the last time request was read when it was sent
@@ -133,7 +133,7 @@ class LinkMonitor:
                 if self._negotiated_at_s is None:
                     self._negotiated_at_s = now_s
                     if not self._excluded.skipped_bytes:
-                        self._early_non_rosserial = self._session.foreign
+                        self._early_noise = self._session.foreign
             case events.DeviceLogged(_, text) if _TOO_LARGE_TEXT in text:
                 self._device_complaint = text
             case events.DeviceLogged(level, text) if level == _ERROR and (found := _COMPLAINT.fullmatch(text)):
@@ -217,9 +217,10 @@ class LinkMonitor:
             time_intervals_s=tuple(self._intervals_s),
             stamps_behind_s=self._stamps(),
             sharing=self.sharing,
-            early_non_rosserial=self._early_non_rosserial,
-            non_rosserial=session.foreign[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
-            is_protocol_1=session.is_outdated,
+            early_noise=self._early_noise,
+            skipped=session.foreign[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
+            is_outdated=session.is_outdated,
+            explain_noise=session.explain_noise,
             refused=tuple(f"{reason}" for _, reason in session.refusals),
             too_small=tuple(self._too_small()),
             complaints={code: Complaint(text, now_s - at_s) for code, (text, at_s) in self._complaints.items()},

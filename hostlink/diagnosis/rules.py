@@ -10,19 +10,13 @@ from statistics import median
 from hostlink.diagnosis.evidence import RECENT_S, Evidence
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.motion_monitor import NO_POSE
-from hostlink.diagnosis.speed import guess_speed
+from hostlink.protocol.noise import JUDGED_S, UNEXPLAINED_BYTES, excerpt
 
 TIME_REQUEST_S = 2.5  # docs/protocol.md#time: time request interval of a configured device
 NO_BYTES_S = 5.0  # topics are requested at 0, 2 and 4 s; an answer arrives within 2 s
 WENT_SILENT_S = 2 * TIME_REQUEST_S + 1.0  # two missing time requests, and a second for the radio
 TIME_STOPPED_S = 3 * TIME_REQUEST_S + 0.5  # three missing time requests: a topic request may delay one
 MIN_REQUESTS = 3  # at 0, 2 and 4 s: one answer may be lost, but not three
-NON_ROSSERIAL_BYTES = 32  # fewer bytes are the end of a cut frame
-BURST_BYTES = 64  # before the first frame: the shortest boot message is longer, half a frame of a robot is shorter
-JUDGED_S = 3.0  # a boot message and a first negotiation are over by then
-UNREADABLE_SHARE = 0.5  # a line that only loses bytes still has most of them in frames
-TEXT_SHARE = 0.9  # 38 % of random bytes are printable, 88 % of a TopicInfo, and all of a program's text
-BAD_CHECKSUMS = 3  # in RECENT_S; an intact line has none
 WRONG_SIZES = 3
 UNKNOWN_IDS = 10  # more than arrive between two negotiations
 UNKNOWN_AFTER_S = 5.0  # three topic requests were answered by then
@@ -46,8 +40,6 @@ FULL = 0.95  # of the line's bytes: messages then wait in the device, or are lef
 BITS_A_BYTE = 10  # with start and stop bit
 ANOTHER_CLOCK_S = 1e6  # 12 days: no clock of a device is so wrong, but a count of seconds since its start
 SECONDS_A_DAY = 86_400
-BOOT_WORDS = (b"ets Jan", b"ets Jun", b"rst cause", b"rst:0x", b"boot mode", b"boot:0x", b"Brownout")
-EXCERPT_CHARS = 40
 
 Rule = Callable[[Evidence], str | None]  # returns the detail; None if the rule does not apply
 
@@ -62,63 +54,10 @@ def diagnose(evidence: Evidence) -> list[Finding]:
         detail = rule(evidence)
         if detail is not None:
             found[code] = detail
-    non_rosserial = _non_rosserial(evidence)
-    if non_rosserial is not None and "serial_shared" not in found:  # which damages what is left
-        found[non_rosserial[0]] = non_rosserial[1]
+    noise = evidence.explain_noise(evidence.noise)
+    if noise is not None and "serial_shared" not in found:  # which damages what is left
+        found[noise[0]] = noise[1]
     return [finding(code, found[code]) for code in words() if code in found]
-
-
-# -- bytes outside frames ---------------------------------------------------------------------------------------------
-
-
-def _non_rosserial(evidence: Evidence) -> tuple[str, str] | None:
-    """Return the one code for the recently skipped bytes, and its detail."""
-    recent, sample = evidence.recent, evidence.non_rosserial
-    if evidence.is_protocol_1:
-        return "protocol_1", ""
-    if evidence.negotiated_s is None and evidence.age_s < JUDGED_S:
-        return None  # the first bytes of a running device are the middle of a frame
-    if recent.skipped_bytes >= NON_ROSSERIAL_BYTES:
-        if is_text(sample):
-            is_boot = any(word in sample for word in BOOT_WORDS)
-            return "boot_noise" if is_boot else "text_on_line", f'"{_excerpt(sample)}"'
-        if recent.skipped_bytes >= UNREADABLE_SHARE * recent.bytes_from_device:
-            return _unreadable(evidence) if evidence.age_s >= JUDGED_S else None
-    if recent.bad_checksums >= BAD_CHECKSUMS:
-        return "damaged", f"{recent.bad_checksums} bad checksums and {recent.frames} good frames"
-    return _burst(evidence)
-
-
-def _unreadable(evidence: Evidence) -> tuple[str, str]:
-    recent = evidence.recent
-    share = f"{recent.skipped_bytes} of {recent.bytes_from_device} bytes in no frame"
-    speed = guess_speed(evidence.non_rosserial, evidence.baud)
-    return ("no_sync", share) if speed is None else ("wrong_baud", f"{speed}; {share}")
-
-
-def _burst(evidence: Evidence) -> tuple[str, str] | None:
-    """Detect bytes before the first topics, and none since."""
-    early = evidence.early_non_rosserial
-    is_new = evidence.recent.skipped_bytes >= len(early) >= BURST_BYTES
-    if not is_new or evidence.total.skipped_bytes - len(early) >= NON_ROSSERIAL_BYTES:
-        return None
-    speed = guess_speed(early, evidence.baud)
-    is_boot = speed is not None and speed.is_of_boot
-    return "boot_noise", f"{len(early)} bytes{f', {speed}' if is_boot else ''}"
-
-
-def is_text(sample: bytes) -> bool:
-    """Whether the bytes are text printed by a program."""
-    return bool(sample) and sum(byte in _TEXT_BYTES for byte in sample) >= TEXT_SHARE * len(sample)
-
-
-def _excerpt(sample: bytes) -> str:
-    lines = [line for line in sample.decode("ascii", "replace").splitlines() if line.strip()]
-    longest = max(lines[-4:], key=len, default="")  # the first and the last line may be cut
-    return "".join(char if char.isprintable() else "?" for char in longest)[:EXCERPT_CHARS]
-
-
-_TEXT_BYTES = frozenset(b"\t\n\r\x1b") | frozenset(range(0x20, 0x7F))
 
 
 # -- serial ports -----------------------------------------------------------------------------------------------------
@@ -128,7 +67,7 @@ def _serial_shared(evidence: Evidence) -> str | None:
     """Detect another program at the port by what it took, by what it may have damaged, or because it is a login."""
     sharing, recent = evidence.sharing, evidence.recent
     has_taken = sharing.lost_reads > 0 or sharing.has_changed_settings
-    is_damaged = recent.skipped_bytes >= NON_ROSSERIAL_BYTES or recent.bad_checksums > 0 or _no_bytes(evidence)
+    is_damaged = recent.skipped_bytes >= UNEXPLAINED_BYTES or recent.bad_checksums > 0 or _no_bytes(evidence)
     if not has_taken and not sharing.has_login and not (sharing.names and is_damaged):
         return None
     facts = [", ".join(sharing.names) or "a program that this user cannot see"]
@@ -259,7 +198,7 @@ def _pose_sent_back(evidence: Evidence) -> str | None:
 
 def _slash_frame(evidence: Evidence) -> str | None:
     found = _flawed(evidence, "slash_frame", "frames with a slash")
-    return found and f'"{_excerpt(evidence.motion.frame_id.encode())}"; {found}'
+    return found and f'"{excerpt(evidence.motion.frame_id.encode())}"; {found}'
 
 
 def _zero_covariance(evidence: Evidence) -> str | None:

@@ -10,6 +10,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.clock import DeviceClock
 from hostlink.protocol.endpoint import DeviceEndpoint
 from hostlink.protocol.events import Event, Parameter
+from hostlink.protocol.noise import Noise, explain_unreadable
 from hostlink.protocol.outbox import Outbox, OutgoingFrame
 
 
@@ -105,6 +106,13 @@ class DeviceSession(ABC):
     def too_small(self, least_bytes: Callable[[str], int]) -> list[str]:  # noqa: ARG002 - for protocols with buffers
         """Say which topics exceed a buffer of the device. `least_bytes` returns the smallest size of a type, or 0."""
         return []
+
+    def explain_noise(self, noise: Noise) -> tuple[str, str] | None:
+        """Return the code and the detail of the finding about skipped bytes; None if they need none.
+
+        The codes are those of hostlink/diagnosis/findings.toml.
+        """
+        return explain_unreadable(noise)
 
     def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:  # noqa: ARG002 - for protocols without frames
         """Number of bytes before the first whole frame of captured bytes whose beginning is lost."""

@@ -10,6 +10,7 @@ from hostlink.errors import BadRequest, FrameTooLarge, HostlinkError, UnknownTop
 from hostlink.protocol import events
 from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind, to_device_key
 from hostlink.protocol.events import Parameter
+from hostlink.protocol.noise import Noise
 from hostlink.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
 from hostlink.protocol.rosserial.control import (
     decode_log,
@@ -19,6 +20,7 @@ from hostlink.protocol.rosserial.control import (
     encode_time,
     encode_topic_info,
 )
+from hostlink.protocol.rosserial.findings import explain
 from hostlink.protocol.rosserial.frame import (
     FIRST_TOPIC_ID,
     HEADER,
@@ -250,6 +252,10 @@ class Session(DeviceSession):
             if (size_bytes := least_bytes(info.type)) > info.buffer_bytes > 0
         ]
         return announced + unsent
+
+    def explain_noise(self, noise: Noise) -> tuple[str, str] | None:
+        """Return the finding about skipped bytes: a wrong baud rate, a boot message, text on the line."""
+        return explain(noise)
 
     def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:
         """Number of bytes before the first frame; 0 when it is more than a frame can have."""

@@ -59,7 +59,7 @@ def test_recent_counts_cover_thirty_seconds() -> None:
             negotiated.receive(b"more " * 2, now_s=20.5)
     evidence = monitor.evidence(40.0, silent_s=1.0)
     assert (evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (60, 10)
-    assert evidence.non_rosserial == b"more more "
+    assert evidence.skipped == b"more more "
 
 
 def test_syncs_inside_intact_messages_are_not_damage() -> None:

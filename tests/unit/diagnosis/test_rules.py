@@ -8,6 +8,7 @@ from hostlink.diagnosis.evidence import Complaint, EarlierLink, Evidence, PortSh
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.motion_monitor import MotionEvidence
 from hostlink.diagnosis.rules import diagnose
+from hostlink.protocol.rosserial.findings import explain
 from hostlink.protocol.rosserial.frame import Id, encode
 from hostlink.protocol.rosserial.resampling import resample
 
@@ -21,8 +22,9 @@ HEALTHY = Evidence(
     negotiated_s=59.0,
     time_requested_s=1.0,
     time_intervals_s=(2.5,) * 8,
+    explain_noise=explain,
 )
-NEW = Evidence(age_s=6.0, silent_s=0.1, requests=3)
+NEW = Evidence(age_s=6.0, silent_s=0.1, requests=3, explain_noise=explain)
 SLOW = resample(encode(Id.TIME, bytes(8)) * 60, ratio=2.0)[:512]
 BOOT = resample(b"\r\n ets Jan  8 2013,rst cause:2, boot mode:(3,6)\r\n\r\nload 0x4010f000, len 3424\r\n", ratio=1.54)
 
@@ -32,7 +34,7 @@ STALLED = Complaint("left wheel stalled: no edge at PWM 4095", 42.0)
 
 def non_rosserial(sample: bytes, *, frames: int = 0, of: int | None = None) -> Evidence:
     tally = Tally(bytes_from_device=len(sample) if of is None else of, frames=frames, skipped_bytes=len(sample))
-    return replace(NEW, total=tally, recent=tally, non_rosserial=sample)
+    return replace(NEW, total=tally, recent=tally, skipped=sample)
 
 
 def lives(count: int, *, seconds: float = 3.0, was_negotiated: bool = True) -> tuple[EarlierLink, ...]:
@@ -64,11 +66,11 @@ CASES = [
     ("serial_shared", replace(non_rosserial(SLOW), baud=115200, sharing=PortSharing(CAT)), "cat (pid 12)"),
     ("no_bytes", replace(NEW, age_s=5.0), "5 s"),
     ("no_topics", replace(NEW, total=GOOD, recent=GOOD), "3 topic requests, 100 frames"),
-    ("protocol_1", replace(non_rosserial(b"\xff\xff" * 40), is_protocol_1=True), ""),
+    ("protocol_1", replace(non_rosserial(b"\xff\xff" * 40), is_outdated=True), ""),
     ("text_on_line", non_rosserial(b"speed 0.25 m/s\r\n" * 10), '"speed 0.25 m/s"'),
     (
         "text_on_line",
-        replace(HEALTHY, recent=GOOD._replace(skipped_bytes=32), non_rosserial=b"x = 1\r\n" * 5),
+        replace(HEALTHY, recent=GOOD._replace(skipped_bytes=32), skipped=b"x = 1\r\n" * 5),
         '"x = 1"',
     ),
     ("boot_noise", non_rosserial(b"rst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST)\r\n" * 2), '"rst:0x1 (POWERON_RESET)'),
@@ -167,9 +169,9 @@ def test_insufficient_evidence_gives_no_finding(evidence: Evidence) -> None:
 
 def test_burst_before_the_topics_is_boot_noise_while_it_is_recent() -> None:
     tally = GOOD._replace(skipped_bytes=len(BOOT))
-    evidence = replace(HEALTHY, total=tally, recent=tally, non_rosserial=BOOT, early_non_rosserial=BOOT)
+    evidence = replace(HEALTHY, total=tally, recent=tally, skipped=BOOT, early_noise=BOOT)
     assert [each.code for each in diagnose(evidence)] == ["boot_noise"]
-    assert diagnose(replace(evidence, recent=GOOD, non_rosserial=b"")) == []
+    assert diagnose(replace(evidence, recent=GOOD, skipped=b"")) == []
 
 
 def test_wheel_that_the_device_names_explains_odometry_that_disagrees() -> None:

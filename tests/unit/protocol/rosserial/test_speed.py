@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from hostlink.capture_file import load_reads
-from hostlink.diagnosis.speed import guess_speed
 from hostlink.protocol.rosserial.frame import Id, encode
 from hostlink.protocol.rosserial.resampling import resample
+from hostlink.protocol.rosserial.speed import guess_speed
 
-CAPTURE = Path(__file__).parent.parent.parent / "captures" / "services.jsonl"
+CAPTURE = Path(__file__).parents[3] / "captures" / "services.jsonl"
 TIME_REQUESTS = encode(Id.TIME, bytes(8)) * 60
 
 
