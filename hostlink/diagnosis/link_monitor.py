@@ -28,7 +28,7 @@ TOGETHER_S = 1.0  # time requests that arrive closer together have waited on the
 STAMPS_SAMPLES = 10  # DeviceClock accepts a step after 5 s, and a device sets its clock every 2.5 s
 REVIVALS_S = 60.0  # a board that restarts four times a minute has a fault
 _KEPT = 16  # intervals and revivals: more add nothing
-_ERROR = 3  # level of a rosserial log line
+_ERROR = 3  # in LOG_LEVELS
 _COMPLAINT = re.compile(  # log lines of firmware/due and hostlink sim; a group is the code of a finding
     r"(?:(?:left|right) wheel (?:(?P<wheel_stalled>stalled)|(?P<wheel_runaway>runs away))"
     r"|(?P<battery_low>battery low)|(?P<watchdog_restart>started by its watchdog))\b[ -~]{0,100}"
@@ -36,7 +36,7 @@ _COMPLAINT = re.compile(  # log lines of firmware/due and hostlink sim; a group 
 _SIGNAL = re.compile(r"WiFi signal (-\d{1,3}) dBm")  # firmware/esp8266
 _FIRMWARE = re.compile(r"firmware ([\w.+-]{1,40} v?\d[\w.+-]{0,23})", re.ASCII)  # any device: docs/robot.md
 SIGNAL_S = 150.0  # the line is sent once a minute, and when the signal has changed
-_TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
+_TOO_LARGE_TEXT = "larger than buffer"  # ros_lib: "Message from device dropped: message larger than buffer."
 
 
 class _Samples:

@@ -99,7 +99,7 @@ def _went_silent(evidence: Evidence) -> str | None:
 
 def _time_stopped(evidence: Evidence) -> str | None:
     if evidence.negotiated_s is None or evidence.silent_s >= WENT_SILENT_S or evidence.never_requests_time:
-        return None  # some libraries never request the time, as MicroPython's uPy-rosserial
+        return None  # some libraries never request the time, as the one of MicroPython
     known = (evidence.negotiated_s, evidence.time_requested_s)
     waited_s = min(at_s for at_s in known if at_s is not None)
     return f"for {waited_s:.0f} s" if waited_s >= TIME_STOPPED_S else None

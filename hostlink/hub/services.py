@@ -1,6 +1,6 @@
 """Services of devices, of programs and of the daemon.
 
-rosserial has no request number, so a device's service has one call in flight. An answer after the deadline must not be
+A device numbers no requests, so a device's service has one call in flight. An answer after the deadline must not be
 taken for the answer to the next call.
 """
 

@@ -155,7 +155,7 @@ class _Acceptor:
         return self._key is not None and self._admission.needs_key(address)
 
     def _authentication(self, transport: Transport, on_proven: Callable[[], None] = ignore) -> Authenticate:
-        """Return what a device must do before rosserial begins. `on_proven` is called when it has proven the key."""
+        """Return what a device must do before its protocol begins. `on_proven` is called when it has proven the key."""
         if self._key is None or not self._needs_key(transport.address):
             return trust
         count = partial(self._count, peer=transport.peer, address=transport.address)

@@ -1,6 +1,6 @@
 """Estimate the offset, drift and answer time of a device's clock from the header stamps of its messages.
 
-A rosserial device sets its clock from the answers to its time requests, about every 2.5 s, and adds the whole round
+A device of rosserial sets its clock from the answers to its time requests, about every 2.5 s, and adds the whole round
 trip. It never echoes the host's time. Stamps therefore show only the sum of clock offset and travel time.
 The minimum over many messages is the offset over the shortest travel time; the rest is jitter.
 """

@@ -1,4 +1,4 @@
-"""Pre-shared key of host and device. Both prove it at the start of a connection, before the first rosserial byte.
+"""Pre-shared key of host and device. Both prove it at the start of a connection, before the first byte of the protocol.
 
     host -> device   "HLK1", 16 random bytes
     device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both randoms)
