@@ -19,6 +19,7 @@ from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import fake_device, pose, robot_topics, service_server, topic
+from tests.support.tcp_server import http_server
 from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = (0.0, 0.0)
@@ -31,14 +32,8 @@ async def serving(answer: Callable[[web.Request], Awaitable[web.StreamResponse]]
     """Run an HTTP server that is not hostlink."""
     app = web.Application()
     app.router.add_get("/{path:.*}", answer)
-    runner = web.AppRunner(app, shutdown_timeout=0.1)
-    await runner.setup()
-    site = web.TCPSite(runner, "127.0.0.1", 0)
-    await site.start()
-    try:
-        yield "http://{}:{}".format(*runner.addresses[0][:2])
-    finally:
-        await runner.cleanup()
+    async with http_server(app, shutdown_timeout_s=0.1) as url:
+        yield url
 
 
 # -- driving ----------------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from hostlink.api.history import IncidentView
 from hostlink.api.rest import DaemonDiagnosisView, DriveView, ListeningView
 from hostlink.api.views import LinkView, RobotView, StoppedRobotView
 from hostlink.robot.views import CommandEndpointView
+from tests.support.tcp_server import http_server
 
 BUILT = Path(__file__).parents[2] / "hostlink" / "api" / "web" / "built"
 BEAT_S = 0.1
@@ -263,15 +264,8 @@ async def _send(response: web.StreamResponse, name: str, value: object) -> None:
 async def page_server() -> AsyncIterator[PageServer]:
     """Runs for the length of the block."""
     server = PageServer()
-    runner = web.AppRunner(server.application(), shutdown_timeout=1.0)
-    await runner.setup()
-    site = web.TCPSite(runner, "127.0.0.1", 0)
-    await site.start()
-    server.url = f"http://127.0.0.1:{runner.addresses[0][1]}"
-    try:
+    async with http_server(server.application()) as server.url:
         yield server
-    finally:
-        await runner.cleanup()
 
 
 def robot(name: str, **changes: Any) -> dict[str, Any]:

@@ -52,7 +52,12 @@ def transcript(document: str) -> Iterator[Typed]:
 
 
 class Shell:
-    """A shell in a terminal; its prompt has the number of the next command: none is taken for the one before."""
+    """
+    A shell in a terminal.
+
+    Its prompt has the number of the next command: none is taken for the one before. It begins a line: after an answer
+    without a line end the terminal would break it in two.
+    """
 
     def __init__(self, terminal: Screen) -> None:
         self._terminal, self._number = terminal, 1
@@ -65,7 +70,7 @@ class Shell:
     async def begin(self, folder: Path, url: str) -> None:
         """In a folder with the venv, as `make demo` leaves one, and records of its own."""
         names = f"XDG_STATE_HOME={folder} HOSTLINK_URL={url}"
-        await self._type(f"PS1='newcomer \\#> '; cd {folder}; export {names}")
+        await self._type(f"PS1='\\nnewcomer \\#> '; cd {folder}; export {names}")
         await self._terminal.shows(self.prompt)
 
     async def run(self, typed: Typed, command: str, *, ends: bool = True) -> None:

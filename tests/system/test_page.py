@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 import pytest_asyncio
-from playwright.async_api import Browser
-from playwright.async_api import expect as expect_text
+from playwright.async_api import Browser, Page
 
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import RefusalKind
@@ -32,6 +31,7 @@ LOW_S = 7.0  # smoothed over a second, low for five
 SHOWN_S = 10.0  # for which the firmware shows an error
 NOTICED_S = 1.0  # within this time the page shows that the daemon does not answer
 MOST_STREAMS = 6  # that a browser opens to one address
+TABS_S = 60.0  # bound of a wait for an event of seven tabs on a busy machine
 GAMEPAD = """() => {
   const pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
   window.pad = pad;
@@ -338,22 +338,30 @@ async def test_every_tab_of_a_browser_can_stop(scene: Scene) -> None:
     """A browser has six connections to one address: the tabs' streams of events must not use up those of a stop."""
     async with connected(scene, is_new=True) as first:
         robot = scene.host.hub.robots.find("robot_0")
+        tabs = [first.page, *[await first.page.context.new_page() for _ in range(MOST_STREAMS)]]
         async with driven_by_a_program(scene, priority=90):
-            tabs = [await first.page.context.new_page() for _ in range(MOST_STREAMS)]
-            for tab in tabs:
+            for tab in tabs[1:]:
                 await tab.goto(scene.host.url)
-            for tab in (first.page, *tabs[: MOST_STREAMS - 1]):
-                await expect_text(tab.locator("#robots")).to_contain_text("drives")
-            for tab in (tabs[0], tabs[-2]):
+            late = await without_stream(tabs)
+            for tab in [tab for tab in tabs if tab is not late][1::3]:
                 robot.unlock()
                 await tab.get_by_role("button", name="Stop").click()
                 await expect(lambda: robot.gate.lock_reason == "the stop on the page", timeout_s=1.0)
         robot.unlock()
         async with driven_by_a_program(scene, priority=90):  # the one before has not let go since
-            late = tabs[-1]  # its stream waits for one of the others to end: it knows no robot
-            await expect_text(late.locator("#notice")).to_contain_text("close other tabs")
+            late = await without_stream(tabs)
             await late.get_by_role("button", name="Stop").click()
             await expect(lambda: robot.gate.counts.stops > 0, timeout_s=1.0)
+
+
+async def without_stream(tabs: list[Page]) -> Page:
+    """The tab that waits for a connection. On a slow machine a tab gives up its stream and another takes it."""
+    async with asyncio.timeout(TABS_S):
+        while True:
+            waiting = [tab for tab in tabs if "close other tabs" in await tab.locator("#notice").inner_text()]
+            if len(waiting) == 1:
+                return waiting[0]
+            await asyncio.sleep(0.1)
 
 
 @pytest.mark.long

@@ -120,7 +120,8 @@ async def test_a_configuration_is_checked_without_being_served(tmp_path: Path) -
     path.write_text("[tcp]\nport = 0\n[api]\nport = 0\n[robots.a]\naddress = '192.168.4'\n")
     status, out, err = await run("serve", "--check-config", str(path))
     assert (status, out.splitlines()[0].startswith("devices on TCP ")) == (0, True)
-    assert err == "warning: robots.a.address 192.168.4 is neither an IP address nor the name of a [[serial]] port\n"
+    problem = "is neither an IP address, with or without a port, nor the name of a [[serial]] port"
+    assert err == f"warning: robots.a.address 192.168.4 {problem}\n"
 
 
 async def test_an_example_is_printed_and_can_be_used(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ class Port:
         self._open: dict[asyncio.Transport, Admitted] = {}  # oldest first
         self._listening: list[socket.socket] = []
         self._acceptor: Acceptor | None = None
+        self._is_closed = False
 
     async def bind(self, host: str, port: int) -> int:
         """Listen; returns the number of the port.
@@ -64,6 +65,7 @@ class Port:
         self._acceptor = Acceptor(self._listening, accepted, on_exhausted=self._note_refused)
 
     def close(self) -> None:
+        self._is_closed = True
         if self._acceptor is not None:
             self._acceptor.close()
         close_all(self._listening)
@@ -91,8 +93,11 @@ class Port:
         try:
             with contextlib.suppress(OSError):  # it has reset the connection already
                 transport, protocol = await asyncio.get_running_loop().connect_accepted_socket(make, connection)
-                self._open[transport] = protocol
                 is_open = True
+                if self._is_closed:  # in the same turn of the loop
+                    transport.abort()
+                else:
+                    self._open[transport] = protocol
         finally:
             self._opening -= 1
             if not is_open:

@@ -179,12 +179,13 @@ class FleetDrivers:
             reason = f"{request.reason} ({neighbour.sender.name})"
             if name is None:
                 self._hub.robots.lock_all_here(reason, by=by)
-            for robot in robots if name is not None else ():
-                robot.lock_here(reason, by=by)
+            else:
+                for robot in robots:
+                    robot.lock_here(reason, by=by)
+        elif name is None:
+            self._hub.robots.stop_all_here(by=by)
         else:
-            if name is None:
-                self._hub.robots.stop_all_here(by=by)
-            for robot in robots if name is not None else ():
+            for robot in robots:
                 robot.stop_here(by=by)
         return self._stopped(request, robots)
 

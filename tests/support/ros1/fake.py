@@ -14,7 +14,7 @@ from aiohttp import web
 from hostlink.graphs.ros1.tcpros import MessageStream, decode_header, encode_header, encode_message
 from hostlink.graphs.ros1.xml_rpc import decode_call, encode_answer, encode_call
 from hostlink.messages.catalog import Catalog
-from tests.support.tcp_server import end_accepting, tcp_server
+from tests.support.tcp_server import end_accepting, http_server, tcp_server
 from tests.support.waiting import TIMEOUT_S, expect
 
 CATALOG = Catalog()
@@ -33,14 +33,8 @@ async def xml_rpc_server(
 
     app = web.Application()
     app.router.add_post("/{path:.*}", receive)
-    runner = web.AppRunner(app, access_log=None)
-    await runner.setup()
-    site = web.TCPSite(runner, "127.0.0.1", 0)
-    await site.start()
-    try:
-        yield f"http://127.0.0.1:{runner.addresses[0][1]}/"
-    finally:
-        await runner.cleanup()
+    async with http_server(app) as url:
+        yield f"{url}/"
 
 
 @dataclass

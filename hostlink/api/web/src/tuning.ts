@@ -46,6 +46,7 @@ export class Tuning {
         setText(this.state, "Not sent yet.");
       },
     );
+    this.show(); // nothing can be typed before the robot's gains are shown, which would replace it
   }
 
   show(): void {

@@ -1,6 +1,8 @@
 """Wire of TCPROS and ports of this node, without sockets: reading in pieces, writing in batches, and their ends."""
 
 import asyncio
+import contextlib
+import socket
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -235,3 +237,34 @@ def test_full_port_gives_the_place_of_its_oldest_replaceable_connection(is_repla
     assert port.admits("10.0.0.1")  # a closing connection holds no place
     port.close()
     assert all(each.is_closed for each in port._open)
+
+
+class Peerless(asyncio.Protocol):
+    """Protocol of a connection that says nothing."""
+
+    is_replaceable = True
+
+
+async def test_port_that_is_closed_in_any_turn_after_an_accept_leaves_no_connection_open() -> None:
+    loop = asyncio.get_running_loop()
+    for turns in range(12):
+        port = Port(Ros1Counts(), allow=(), max_connections=3)
+        number = await port.bind("127.0.0.1", 0)
+        async with asyncio.TaskGroup() as tasks:
+            began = asyncio.Event()
+
+            def spawn(work: Any, *, name: str, began: asyncio.Event = began, tasks: Any = tasks) -> None:
+                tasks.create_task(work, name=name)
+                began.set()
+
+            port.accept(Peerless, spawn)
+            with socket.socket() as client:
+                client.setblocking(False)
+                await loop.sock_connect(client, ("127.0.0.1", number))
+                await began.wait()
+                for _ in range(turns):
+                    await asyncio.sleep(0)
+                port.close()
+                with contextlib.suppress(ConnectionResetError):
+                    async with asyncio.timeout(10.0):
+                        assert await loop.sock_recv(client, 1) == b""
