@@ -21,7 +21,7 @@ COMPILED_PACKAGES := gcc python3-dev gcc-aarch64-linux-gnu libc6-dev-arm64-cross
 ROS1_PACKAGES := python3-catkin-pkg python3-roslaunch python3-rospy python3-rosbag python3-rostopic python3-rosservice python3-rosnode python3-rosparam python3-geometry-msgs \
   python3-nav-msgs python3-rosgraph-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-tf2-msgs
 
-WEB := hostlink/api/web
+WEB := hostlink/components/gateway/web
 
 CHAOS_S ?= 600
 
@@ -48,13 +48,13 @@ help:
 	@echo "make arm64   install the Debian package and the wheel in an emulated arm64, drive there and run unit tests (an hour)"
 	@echo "make weight  measure what the base, each extra, the packages and other programs weigh (docs/weight.md)"
 	@echo "make compiled  wheels of the same sources compiled with mypyc, for amd64 and arm64, into build/release"
-	@echo "make test-compiled  tests on the compiled modules (TESTS=tests/unit/hub)"
+	@echo "make test-compiled  tests on the compiled modules (TESTS=tests/unit/core/hub)"
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench*.json"
 	@echo "make ros2-venv  rclpy from PyPI and hostlink, into build/ros2-venv"
 	@echo "make ros-mcp-venv  ros-mcp from PyPI, a client of rosbridge that the tests run, into build/ros-mcp-venv"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
-	@echo "make world   build the firmware in its world as WebAssembly, for simulated robots (hostlink/sim/firmware.wasm)"
+	@echo "make world   build the firmware in its world as WebAssembly, for simulated robots (hostlink/workbench/sim/firmware.wasm)"
 	@echo "make lab     drive the paper's measurements again: causes, tables, claims and pictures, into build/lab"
 	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
 	@echo "make screenshots  pictures of the page, into build/screenshots"

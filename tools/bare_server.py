@@ -16,8 +16,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink.protocol.rosserial.frame import TOPICS_REQUEST
-from hostlink.transport.base import READ_BYTES
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST
+from hostlink.core.transport.base import READ_BYTES
 
 COMMAND = bytes(56)  # as long as a velocity's frame
 SETTLE_S = 2.0

@@ -17,12 +17,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink import logs
-from hostlink.config import BlackBoxConfig, Config
-from hostlink.hub.hub import Hub
-from hostlink.link import link
-from hostlink.messages.catalog import Catalog
-from hostlink.recording.black_box import BlackBox
+from hostlink.components.recorder.black_box import BlackBox
+from hostlink.core.config import BlackBoxConfig, Config
+from hostlink.core.hub.hub import Hub
+from hostlink.core.link import link
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.runtime import logs
 from tests.support.fake_device import pose, robot_topics
 from tests.support.scripted_device import ScriptedDevice
 from tools.bench import Row, parser, report

@@ -24,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
-from hostlink.protocol.rosserial.frame import Frame, Id
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.frame import Frame, Id
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.process import HOSTLINK, Process, serve
 from tests.support.stopwatch import kept_waiting_s
 from tests.support.waiting import is_true_within

@@ -17,16 +17,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
-from hostlink import logs
 from hostlink.cli.serve import running
 from hostlink.cli.serve_command import loop_factory
-from hostlink.config import ApiConfig, Config, TcpConfig
+from hostlink.core.config import ApiConfig, Config, TcpConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import HEADER, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.core.runtime import logs
 from hostlink.errors import UnknownTopic
-from hostlink.hub.hub import Hub
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import HEADER, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
 from tools.bench import Row, p99, parser, report
 
 POSE_MD5 = "938fa65709584ad8e77d238529be13b8"

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
-from hostlink.recording.reader import McapReader
+from hostlink.components.recorder.reader import McapReader
 from tests.support.process import HOSTLINK, serve
 from tools.bench import Row, cpu_s, memory_mib, p99, parser, report
 from tools.bench_crowd import MANY, Load, driven, visitors_of

@@ -17,10 +17,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.fake_device import topic
 from tests.support.ros1.debian import Graph, graph
 from tools.bench import Row, p99, parser, report

@@ -15,9 +15,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # tests.support has the peers
 
-from hostlink import logs
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.runtime import logs
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 from tests.support.process import serve
 from tests.support.ros2 import Peer, bridge, domain, peer

@@ -1,4 +1,4 @@
-"""Builds hostlink/sim/firmware.wasm, the Due's firmware in its world, for `make world`.
+"""Builds hostlink/workbench/sim/firmware.wasm, the Due's firmware in its world, for `make world`.
 
 The same sources give the same bytes with the same clang: Debian 12's packages, see PACKAGES. `--output FILE` writes the
 module to another place, without a digest.
@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-MODULE = ROOT / "hostlink" / "sim" / "firmware.wasm"
+MODULE = ROOT / "hostlink" / "workbench" / "sim" / "firmware.wasm"
 PACKAGES = "clang lld wasi-libc libclang-rt-14-dev-wasm32"  # of Debian 12; the Makefile has them too
 CLANG = "14"  # another one makes other bytes
 FIRMWARE = ROOT / "firmware"

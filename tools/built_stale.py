@@ -48,7 +48,7 @@ class Built:
 
 BUILT = {
     "web": Built(
-        ROOT / "hostlink" / "api" / "web",
+        ROOT / "hostlink" / "components" / "gateway" / "web",
         "built",
         "built/digest.txt",
         (
@@ -63,8 +63,8 @@ BUILT = {
     ),
     "world": Built(
         ROOT,
-        "hostlink/sim/firmware.wasm",
-        "hostlink/sim/firmware.digest",
+        "hostlink/workbench/sim/firmware.wasm",
+        "hostlink/workbench/sim/firmware.digest",
         (
             "tools/build_world.py",
             "firmware/host/*.cpp",

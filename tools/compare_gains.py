@@ -16,10 +16,10 @@ import numpy as np
 
 from hostlink.cli.step import PAPER_GAINS, Stage, draw_picture, make_stage, rising_stages
 from hostlink.errors import HostlinkError
-from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
-from hostlink.robot.step_response import Record, Sample, StepFigures, make_record, step_figures
-from hostlink.sim.firmware_module import WorldParameters, wheel
-from hostlink.sim.firmware_world import Feedback, FirmwareWorld, Trace
+from hostlink.workbench.motor_model import MotorModel, PidGains, identify_motor, simc_gains
+from hostlink.workbench.sim.firmware_module import WorldParameters, wheel
+from hostlink.workbench.sim.firmware_world import Feedback, FirmwareWorld, Trace
+from hostlink.workbench.step_response import Record, Sample, StepFigures, make_record, step_figures
 
 SEPARATION_M = 0.21
 BEFORE_S = 0.5

@@ -26,10 +26,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
 
 RATE_HZ = 10
 TURNS_A_PERIOD = 50  # the devices speak in so many groups, one after another

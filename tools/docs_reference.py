@@ -17,9 +17,10 @@ import aiohttp
 import typer
 
 import hostlink.client
-from hostlink import config, logs
 from hostlink.cli.main import PANELS, build_app
 from hostlink.cli.serve import running
+from hostlink.core import config
+from hostlink.core.runtime import logs
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "reference"

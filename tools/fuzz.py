@@ -60,7 +60,7 @@ def fuzz(name: str, options: list[str]) -> None:
         import atheris  # noqa: PLC0415 - only here, and only with the extra `fuzz`
     except ImportError as error:
         sys.exit(f"atheris has no wheel for this Python, or is not installed (pip install -e '.[fuzz]'): {error}")
-    with atheris.instrument_imports(include=["hostlink.protocol", "hostlink.messages"]):
+    with atheris.instrument_imports(include=["hostlink.core.protocol", "hostlink.core.messages"]):
         from tests.support.fuzz_targets import TARGETS  # noqa: PLC0415 - after the instrumentation
     atheris.Setup([sys.argv[0], *options], TARGETS[name])
     atheris.Fuzz()

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry, calibrated, student_95
-from hostlink.robot.course import Leg, square, straight
-from hostlink.sim.firmware_module import WorldParameters
-from hostlink.sim.firmware_world import FirmwareWorld, follow
+from hostlink.client.course import Leg, square, straight
+from hostlink.workbench.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry, calibrated, student_95
+from hostlink.workbench.sim.firmware_module import WorldParameters
+from hostlink.workbench.sim.firmware_world import FirmwareWorld, follow
 
 SQUARES = 5  # each way, as UMBmark has them
 SIDE_M, LENGTH_M = 2.0, 3.0

@@ -14,8 +14,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink.protocol.rosserial.frame import Frame, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.frame import Frame, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 
 ODOMETRY_ID = 125
 KNOWN = {ODOMETRY_ID: 24, 126: 48}  # the paper's robot: id -> size

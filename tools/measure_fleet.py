@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
-from hostlink.graphs.zenoh.fleet import READ_S
+from hostlink.components.zenoh.fleet import READ_S
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.process import HOSTLINK, Process, free_port, serve
 from tools.crowd import TIME

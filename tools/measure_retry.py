@@ -12,7 +12,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.firmware.due import Retry, node
 from tests.support.uart import Uart
 

@@ -1,15 +1,15 @@
-"""Write hostlink/messages/noetic.txt: the definitions of ROS 1 Noetic's message types, from rosbags.
+"""Write hostlink/core/messages/noetic.txt: the definitions of ROS 1 Noetic's message types, from rosbags.
 
 python -m tools.message_definitions --write; without it, ends with status 1 when the file differs. The file spares an
-installation rosbags and its 16 MB. `tests/unit/messages/test_catalog.py` compares md5 sums with rosbags.
+installation rosbags and its 16 MB. `tests/unit/core/messages/test_catalog.py` compares md5 sums with rosbags.
 """
 
 import sys
 
 from rosbags.typesys import Stores, get_typestore
 
-from hostlink.messages.catalog import STANDARD
-from hostlink.messages.message_type import SEPARATOR
+from hostlink.core.messages.catalog import STANDARD
+from hostlink.core.messages.message_type import SEPARATOR
 
 
 def definitions() -> str:

@@ -31,23 +31,23 @@ TIMEOUT_S = 300.0  # an endless loop is noticed
 QUICK = "not quiet and not alone and not long"  # the tests of `make quick`
 NO_TESTS_SELECTED = 5  # pytest's exit code, where each test of a file has one of these marks
 MORE_TESTS = {  # in addition to a package's unit tests
-    "hostlink/messages": ("tests/property/test_codec.py",),
-    "hostlink/protocol": (
+    "hostlink/core/messages": ("tests/property/test_codec.py",),
+    "hostlink/core/protocol": (
         "tests/property/test_replay.py",
         "tests/property/test_stream.py",
         "tests/property/test_session.py",
         "tests/property/test_outbox.py",
     ),
-    "hostlink/robot": (
+    "hostlink/core/robot": (
         "tests/property/test_velocity_gate.py",
         "tests/property/test_kinematics.py",
         "tests/property/test_admission.py",
     ),
-    "hostlink/mirror": (),
-    "hostlink/hub": (),
-    "hostlink/api": (),
-    "hostlink/graphs": (),
-    "hostlink/recording": (),
+    "hostlink/core/mirror": (),
+    "hostlink/core/hub": (),
+    "hostlink/components/gateway": (),
+    "hostlink/components/graphs": (),
+    "hostlink/components/recorder": (),
 }
 
 

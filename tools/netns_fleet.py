@@ -33,8 +33,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
+from hostlink.core.robot.admission import LEASE_S
 from hostlink.errors import RefusalKind
-from hostlink.robot.admission import LEASE_S
 from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, pose, robot_topics
 from tools.crowd import TIME

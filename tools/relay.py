@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
 
-from hostlink.transport.base import Transport
-from hostlink.transport.connection import StreamTransport
+from hostlink.core.transport.base import Transport
+from hostlink.core.transport.connection import StreamTransport
 from tools.faults import OF_BYTES, Direction, Fault, FaultyLine, Kind, Schedule, Script, boot_noise
 
 MAX_WAITING_BYTES = 1 << 20  # on a line; then the sender's TCP stops it

@@ -40,11 +40,11 @@ TIMEOUT_S = 60.0
 MIN_WAY_M = 0.2  # of a robot that is driven
 NEEDED = (
     "hostlink/py.typed",
-    "hostlink/api/web/built/index.html",
+    "hostlink/components/gateway/web/built/index.html",
     "hostlink/data/hostlink.toml",
     "hostlink/data/hostlink.service",
-    "hostlink/guardian/process.py",
-    "hostlink/sim/firmware.wasm",
+    "hostlink/core/guardian/process.py",
+    "hostlink/workbench/sim/firmware.wasm",
 )
 UNWANTED = re.compile(r"(^|/)(tests|node_modules|__pycache__|\.git|build)/|\.(ts|pyc|so|toml\.bak)$")
 LIBRARY = re.compile(r"(?P<module>[^.]+)\.cpython-[^/]+\.so$")

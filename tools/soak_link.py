@@ -13,10 +13,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink import logs
 from hostlink.cli.serve import running
-from hostlink.config import ApiConfig, Config, LinkConfig, TcpConfig
-from hostlink.messages.catalog import Catalog
+from hostlink.core.config import ApiConfig, Config, LinkConfig, TcpConfig
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.runtime import logs
 from tests.support.link_report import Account
 from tests.support.virtual_device import POSE, NumberedRobot, VirtualDevice
 from tests.support.virtual_world import NUMBERS, command

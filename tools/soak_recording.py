@@ -20,11 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import structlog
 
-from hostlink.config import Config, RecordingConfig
-from hostlink.hub.hub import Hub
-from hostlink.messages.catalog import Catalog
-from hostlink.recording.recorder import TopicSelection
-from hostlink.recording.recordings import Recordings
+from hostlink.components.recorder.recorder import TopicSelection
+from hostlink.components.recorder.recordings import Recordings
+from hostlink.core.config import Config, RecordingConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.messages.catalog import Catalog
 
 RATE_HZ = 10
 TOPICS = (("odometry", "geometry_msgs/Pose2D", "<3d"), ("plot_data", "geometry_msgs/Twist", "<6d"))

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Run tests on the modules of the compiled wheel: make test-compiled (TESTS="tests/unit/hub" chooses).
+# Run tests on the modules of the compiled wheel: make test-compiled (TESTS="tests/unit/core/hub" chooses).
 # They run in build/mypyc/tree, a copy of the sources with the wheel's extension modules next to them. Its virtual
 # environment finds hostlink there, and everything else where this checkout's .venv has it.
 set -euo pipefail

@@ -55,7 +55,7 @@ step deb-purge emulated dpkg --purge hostlink
 [ ! -e "$root/etc/hostlink" ] && [ ! -e "$root/usr/lib/hostlink" ]
 tests="pytest pytest-asyncio pytest-timeout hypothesis"
 pytest="HYPOTHESIS_PROFILE=ci /srv/venv/bin/python -m pytest -q -p no:cacheprovider --timeout 1200"
-packages="tests/unit/protocol tests/unit/messages tests/unit/robot tests/unit/hub"
+packages="tests/unit/core/protocol tests/unit/core/messages tests/unit/core/robot tests/unit/core/hub"
 step wheel-install emulated sh -c "rm -rf /srv/venv && python3 -m venv /srv/venv && cd /srv/hostlink &&
   /srv/venv/bin/pip install --no-compile \"\$(echo /srv/hostlink/*.whl)[sim,export]\" $tests"
 step wheel-drive emulated python3 /srv/hostlink/try_drive.py /srv/venv/bin/hostlink

@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "docs" / "try.html"
-MODULE = ROOT / "hostlink" / "sim" / "firmware.wasm"
+MODULE = ROOT / "hostlink" / "workbench" / "sim" / "firmware.wasm"
 _PLACE = '<script id="module" type="text/plain">'
 
 

@@ -1,4 +1,4 @@
-// The firmware in its world as one WebAssembly module (tools/build_world.py): hostlink/sim/firmware_module.py and
+// The firmware in its world as one WebAssembly module (tools/build_world.py): hostlink/workbench/sim/firmware_module.py and
 // docs/try.html run it. One instance of the module is one robot. It has no heap and no imports: its input and output
 // are in static memory, whose addresses the first functions return.
 #include <string.h>

@@ -9,8 +9,8 @@ from importlib.resources import files
 from itertools import groupby
 from typing import Final, NamedTuple
 
-from hostlink.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Constant, Field, bool_value
-from hostlink.messages.message_type import MessageType, ServiceType
+from hostlink.core.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Constant, Field, bool_value
+from hostlink.core.messages.message_type import MessageType, ServiceType
 
 # -- literals ---------------------------------------------------------------------------------------------------------
 

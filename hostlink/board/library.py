@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from hostlink.board.headers import class_name, message_header, service_header
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.message_type import MessageType, ServiceType
 from hostlink.errors import ConfigError
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.message_type import MessageType, ServiceType
 
 # -- archive ----------------------------------------------------------------------------------------------------------
 

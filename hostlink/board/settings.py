@@ -8,8 +8,8 @@ import zlib
 from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
+from hostlink.core.transport.base import Transport
 from hostlink.errors import BadRequest, HostlinkError
-from hostlink.transport.base import Transport
 
 # -- settings port ----------------------------------------------------------------------------------------------------
 

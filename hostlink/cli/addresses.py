@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 
 import typer
 
-from hostlink.config import MAX_PORT, SerialConfig
+from hostlink.core.config import MAX_PORT, SerialConfig
 from hostlink.errors import ConfigError
 
 HostAddress = Annotated[

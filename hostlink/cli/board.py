@@ -18,12 +18,12 @@ from hostlink.cli.arguments import Json
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.names import LISTED, near
 from hostlink.cli.output import clear_progress, quantity, show_progress, write, write_error
-from hostlink.config import SerialConfig
+from hostlink.core.config import SerialConfig
+from hostlink.core.messages.catalog import Catalog, check_not_empty
+from hostlink.core.runtime.plain_text import plain
+from hostlink.core.runtime.text_file import read_text
+from hostlink.core.transport.serial import open_serial
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, size
-from hostlink.messages.catalog import Catalog, check_not_empty
-from hostlink.plain_text import plain
-from hostlink.text_file import read_text
-from hostlink.transport.serial import open_serial
 
 # -- arduino library --------------------------------------------------------------------------------------------------
 

@@ -27,10 +27,12 @@ from hostlink.cli.output import quantity, table, write, write_error
 from hostlink.cli.robots import name_of
 from hostlink.cli.settings_file import Tables, require_changeable, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
-from hostlink.config import CalibrationConfig, load
+from hostlink.client.course import Speed
+from hostlink.core.config import CalibrationConfig, load
+from hostlink.core.robot.odometry import OdometryCorrection
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.robot.calibration import Calibration, MeasuredRun, WheelGeometry, calibrated, uncorrected
-from hostlink.robot.calibration_checks import (
+from hostlink.workbench.calibration import Calibration, MeasuredRun, WheelGeometry, calibrated, uncorrected
+from hostlink.workbench.calibration_checks import (
     Confirmation,
     complaint_of_nominal,
     complaint_of_run,
@@ -38,9 +40,7 @@ from hostlink.robot.calibration_checks import (
     confirm,
     doubt_of_squares,
 )
-from hostlink.robot.course import Speed
-from hostlink.robot.odometry import OdometryCorrection
-from hostlink.sim.firmware_module import read, require_wasmtime
+from hostlink.workbench.sim.firmware_module import read, require_wasmtime
 
 CASTER_SHARE = 0.01  # difference between the separations by turns and by squares that is reported
 DEFAULT_WORLD = "track_m=0.2142\nleft.radius_m=0.0448\nright.radius_m=0.0453\n"  # a common error of each number

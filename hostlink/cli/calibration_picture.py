@@ -4,8 +4,8 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 
-from hostlink.robot.calibration import Calibration, MeasuredRun, RunKind, end_of, uncorrected
-from hostlink.robot.odometry import OdometryCorrection
+from hostlink.core.robot.odometry import OdometryCorrection
+from hostlink.workbench.calibration import Calibration, MeasuredRun, RunKind, end_of, uncorrected
 
 WIDTH, HEIGHT, MARGIN = 520.0, 520.0, 46.0
 DRAWN = 4  # every fourth pose is drawn

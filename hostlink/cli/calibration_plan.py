@@ -8,9 +8,9 @@ import msgspec
 
 from hostlink.cli.files import writing
 from hostlink.cli.output import quantity
+from hostlink.client.course import Leg, square, straight, turns
 from hostlink.errors import HostlinkError
-from hostlink.robot.calibration import MeasuredRun, RunKind, WheelGeometry
-from hostlink.robot.course import Leg, square, straight, turns
+from hostlink.workbench.calibration import MeasuredRun, RunKind, WheelGeometry
 
 FORMAT = 1  # of the state file
 SPARE_M = 0.5  # free floor beyond a course

@@ -16,16 +16,16 @@ from hostlink.cli.output import show_progress, show_question, write, write_error
 from hostlink.cli.quantities import UNITS_M, UnitMissing, parse_angle, parse_length
 from hostlink.cli.robots import free_robot
 from hostlink.client import Host, RobotState
+from hostlink.client.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.client.motion import require_pose
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
+from hostlink.core.robot.kinematics import Pose, wrap_angle
+from hostlink.core.robot.odometry import OdometryCorrection
 from hostlink.errors import HostlinkError, RefusalKind
-from hostlink.robot.calibration import Measurement, RunKind, WheelGeometry
-from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
-from hostlink.robot.kinematics import Pose, wrap_angle
-from hostlink.robot.odometry import OdometryCorrection
-from hostlink.sim.firmware_module import WorldParameters
-from hostlink.sim.firmware_world import FirmwareWorld, Person, follow
+from hostlink.workbench.calibration import Measurement, RunKind, WheelGeometry
+from hostlink.workbench.sim.firmware_module import WorldParameters
+from hostlink.workbench.sim.firmware_world import FirmwareWorld, Person, follow
 
 # -- courses through the daemon ---------------------------------------------------------------------------------------
 

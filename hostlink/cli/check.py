@@ -14,26 +14,26 @@ import resource
 from collections import Counter
 from collections.abc import Iterator
 
-from hostlink.acceptor import bind, why
-from hostlink.api.access import Access, is_loopback, tls_context
-from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.cli.addresses import is_origin
 from hostlink.cli.output import quantity
-from hostlink.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_place
+from hostlink.components.gateway.access import Access, is_loopback, tls_context
+from hostlink.components.gateway.listener import KEPT_FOR_REQUESTS
+from hostlink.components.recorder.folder import default_folder
+from hostlink.components.recorder.owner import owner_of
+from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_place
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.parameters import to_parameter
+from hostlink.core.hub.robot import check_command, drive_in, frames_of, lacking
+from hostlink.core.hub.topic_graph import resolve
+from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.rosserial.control import encode_parameter
+from hostlink.core.robot.kinematics import SETTINGS, WHEELS_NEED, AckermannDrive
+from hostlink.core.runtime.acceptor import bind, why
+from hostlink.core.runtime.listening import close_all, spelled
+from hostlink.core.transport.serial import find_port
+from hostlink.core.transport.udp import serve_udp
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
-from hostlink.hub.hub import Hub
-from hostlink.hub.parameters import to_parameter
-from hostlink.hub.robot import check_command, drive_in, frames_of, lacking
-from hostlink.hub.topic_graph import resolve
-from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor
-from hostlink.listening import close_all, spelled
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.rosserial.control import encode_parameter
-from hostlink.recording.folder import default_folder
-from hostlink.recording.owner import owner_of
-from hostlink.robot.kinematics import SETTINGS, WHEELS_NEED, AckermannDrive
-from hostlink.transport.serial import find_port
-from hostlink.transport.udp import serve_udp
 
 # -- descriptors ------------------------------------------------------------------------------------------------------
 
@@ -161,7 +161,7 @@ def _describe_who(config: TcpConfig | UdpConfig) -> str:
 
 
 def _describe_zenoh(zenoh: ZenohConfig) -> str:
-    from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
+    from hostlink.components.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
 
     parts = [f"the fleet {zenoh.fleet_name}"] * zenoh.fleet + [f"ROS 2, domain {zenoh.ros_domain_id}"] * zenoh.ros2
     reach = reach_of(settings_of(zenoh), zenoh)
@@ -247,7 +247,7 @@ def _suspicious(config: Config) -> Iterator[str]:
         advice = "this daemon keeps no recordings, incidents and drives until that one ends; set another folder"
         yield f"recording.folder {folder} belongs to {owner}: {advice}"
     if config.zenoh is not None:
-        from hostlink.graphs.zenoh.settings import settings_of, warnings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
+        from hostlink.components.zenoh.settings import settings_of, warnings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
 
         yield from warnings_of(settings_of(config.zenoh), config.zenoh)
     for name, part in {"tcp": config.tcp, "udp": config.udp}.items():

@@ -9,24 +9,24 @@ from typing import Annotated
 
 import typer
 
-from hostlink import logs
-from hostlink.cancellation import meanwhile
 from hostlink.cli.ending import Ending, stop_signals
 from hostlink.cli.output import show_progress, write
 from hostlink.cli.own_name import own_name
 from hostlink.cli.serve import running
 from hostlink.cli.serve_command import Origins, allow_origins, merge
 from hostlink.cli.sim import Kind
-from hostlink.config import Config, RobotConfig
+from hostlink.core.config import Config, RobotConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.participant import Participant
+from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.core.runtime import logs
+from hostlink.core.runtime.cancellation import meanwhile
+from hostlink.core.runtime.listening import spelled
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.hub.hub import Hub
-from hostlink.hub.participant import Participant
-from hostlink.hub.robot import LocalRobot
-from hostlink.listening import spelled
-from hostlink.robot.velocity import PlanarVelocity
-from hostlink.sim.firmware_module import require_wasmtime
-from hostlink.sim.firmware_world import RobotKind
-from hostlink.sim.run import SocketAddress, run_fleet
+from hostlink.workbench.sim.firmware_module import require_wasmtime
+from hostlink.workbench.sim.firmware_world import RobotKind
+from hostlink.workbench.sim.run import SocketAddress, run_fleet
 
 OWNER = "demo"
 DEMO_PRIORITY = 0  # every other driver takes precedence

@@ -193,7 +193,7 @@ async def _listen(address: str, seconds: float, folders: tuple[Path, ...]) -> Re
 
 def _probe() -> ModuleType:
     """Import the probe, which contains a whole daemon and would slow down a query of a running one."""
-    importlib.import_module("hostlink.logs").configure(level="critical")
+    importlib.import_module("hostlink.core.runtime.logs").configure(level="critical")
     return importlib.import_module("hostlink.cli.probe")
 
 

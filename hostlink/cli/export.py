@@ -10,14 +10,14 @@ import typer
 from hostlink.cli.files import check_absent, check_picture, writing
 from hostlink.cli.local_time import wall_text
 from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
+from hostlink.components.recorder.definitions import need_rosbags, why_unknown
+from hostlink.components.recorder.reader import Contents, TopicContents, contents_of
 from hostlink.errors import ConfigError, size
-from hostlink.recording.definitions import need_rosbags, why_unknown
-from hostlink.recording.reader import Contents, TopicContents, contents_of
 
 # -- export -----------------------------------------------------------------------------------------------------------
 
 if TYPE_CHECKING:
-    from hostlink.recording.export import Exported
+    from hostlink.components.recorder.export import Exported
 
 
 Format = Literal["csv", "ros2", "rosbag2", "ros1"]
@@ -70,15 +70,15 @@ def export(
 
 
 def _export(file: Path, target: Path, format_: Format, topics: list[str], *, skips_unknown: bool) -> "Exported":
-    from hostlink.recording.reader import open_source  # noqa: PLC0415 - numpy and the codec, only when they are used
+    from hostlink.components.recorder.reader import open_source  # noqa: PLC0415 - numpy and the codec, only when they are used
 
     source = open_source(file)
     if format_ == "csv":
-        from hostlink.recording.export import export_csv  # noqa: PLC0415 - as above
+        from hostlink.components.recorder.export import export_csv  # noqa: PLC0415 - as above
 
         return export_csv(source, target, topics=topics, skips_unknown=skips_unknown)[0]
     need_rosbags(f"--to {format_}")
-    from hostlink.recording.bags import RosFormat, export_ros  # noqa: PLC0415 - of the extra `export`
+    from hostlink.components.recorder.bags import RosFormat, export_ros  # noqa: PLC0415 - of the extra `export`
 
     return export_ros(source, target, RosFormat(format_), topics=topics, skips_unknown=skips_unknown)
 
@@ -107,8 +107,8 @@ def plot(
     check_picture("--output", target, needs="plot", extra="plot")
     check_absent(target)
     # matplotlib and the codec are imported after the checks that need neither
-    from hostlink.recording.plot import draw_fields, draw_map, read_lines, read_paths  # noqa: PLC0415
-    from hostlink.recording.reader import open_source  # noqa: PLC0415
+    from hostlink.components.recorder.plot import draw_fields, draw_map, read_lines, read_paths  # noqa: PLC0415
+    from hostlink.components.recorder.reader import open_source  # noqa: PLC0415
 
     source = open_source(file)
     show_progress(f"reading {file}")

@@ -8,23 +8,23 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from hostlink.capture_file import Read, load_reads
 from hostlink.cli.connecting import counted
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import fitted_table, write
-from hostlink.errors import BadPayload, WrongType
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.message_type import MessageType
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind, to_device_key
-from hostlink.protocol.events import Parameter
-from hostlink.protocol.rosserial.control import (
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.message_type import MessageType
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind, to_device_key
+from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.rosserial.control import (
     decode_log,
     decode_parameter,
     decode_parameter_request,
     decode_topic_info,
 )
-from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
-from hostlink.protocol.rosserial.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
+from hostlink.core.protocol.rosserial.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
+from hostlink.core.protocol.rosserial.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
+from hostlink.core.runtime.capture_file import Read, load_reads
+from hostlink.errors import BadPayload, WrongType
 
 LAST_LOGS = 8
 _KINDS = {

@@ -9,10 +9,10 @@ from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, write
 from hostlink.cli.sim import read_world
 from hostlink.errors import ConfigError, size
-from hostlink.lab import reports
-from hostlink.lab.experiment import Laboratory
-from hostlink.lab.tables import CASTER_WORLD
-from hostlink.sim.firmware_module import WorldParameters, require_wasmtime
+from hostlink.workbench.lab import reports
+from hostlink.workbench.lab.experiment import Laboratory
+from hostlink.workbench.lab.tables import CASTER_WORLD
+from hostlink.workbench.sim.firmware_module import WorldParameters, require_wasmtime
 
 Report = Literal["causes", "tables", "claims", "pictures"]
 
@@ -71,7 +71,7 @@ def _report(laboratory: Laboratory, what: Report, runs: int | None, world: World
 
 
 def _draw(world: WorldParameters, runs: int, output: Path) -> list[str]:
-    from hostlink.lab.pictures import draw_software  # noqa: PLC0415 - needs matplotlib
+    from hostlink.workbench.lab.pictures import draw_software  # noqa: PLC0415 - needs matplotlib
 
     show_progress("drawing")
     try:

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Collection, Sequence
 from typing import Any, TextIO
 
-from hostlink.plain_text import plain
+from hostlink.core.runtime.plain_text import plain
 
 _CLEAR_LINE = "\r\x1b[2K"
 _AS_JSON = "hostlink.json"  # error handler for characters that the terminal's encoding does not have

@@ -12,8 +12,8 @@ from hostlink.cli.connecting import ask, rosapi
 from hostlink.cli.names import unknown
 from hostlink.cli.output import quantity, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
+from hostlink.core.runtime.text_file import read_text
 from hostlink.errors import ConfigError
-from hostlink.text_file import read_text
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -13,19 +13,28 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from hostlink.cancellation import meanwhile, raise_if_cancelled
 from hostlink.cli.addresses import DEFAULT_HOST, HostAddress, parse_address
 from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
 from hostlink.cli.output import quantity, show_progress, show_question, write_error
 from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, Robot, connect
+from hostlink.components.recorder.channel import DEVICE, ROS1, VELOCITY, Channel
+from hostlink.components.recorder.playing import (
+    Due,
+    DueVelocity,
+    NewestDue,
+    drives,
+    is_drive,
+    may_move,
+    robots_of,
+    schedule,
+)
+from hostlink.components.recorder.reader import McapReader, StoredMessage, Wanted
+from hostlink.components.recorder.tables import Decoders
+from hostlink.core.runtime.cancellation import meanwhile, raise_if_cancelled
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, system_text
-from hostlink.recording.channel import DEVICE, ROS1, VELOCITY, Channel
-from hostlink.recording.playing import Due, DueVelocity, NewestDue, drives, is_drive, may_move, robots_of, schedule
-from hostlink.recording.reader import McapReader, StoredMessage, Wanted
-from hostlink.recording.tables import Decoders
-from hostlink.sim.played_device import PlayedDevice, PlayedTopic
+from hostlink.workbench.sim.played_device import PlayedDevice, PlayedTopic
 
 TWIST = "geometry_msgs/Twist"
 NO_MD5 = "*"

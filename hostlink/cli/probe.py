@@ -12,19 +12,19 @@ from typing import Any
 
 import msgspec
 
-from hostlink.api.views import Slices, finding_views, links_view, robot_view
-from hostlink.capture_file import load_reads
 from hostlink.cli.connecting import counted
 from hostlink.cli.doctor import Report, rates, report_of
 from hostlink.cli.serve import running
-from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig
-from hostlink.diagnosis.finding import Finding, finding
-from hostlink.diagnosis.replay import Replay, replay
-from hostlink.hub.hub import Hub
-from hostlink.listening import own_address
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.registry import find_protocol
-from hostlink.transport.port_users import PROC, find_user
+from hostlink.components.gateway.views import Slices, finding_views, links_view, robot_view
+from hostlink.core.config import ApiConfig, Config, SerialConfig, TcpConfig
+from hostlink.core.diagnosis.finding import Finding, finding
+from hostlink.core.diagnosis.replay import Replay, replay
+from hostlink.core.hub.hub import Hub
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.registry import find_protocol
+from hostlink.core.runtime.capture_file import load_reads
+from hostlink.core.runtime.listening import own_address
+from hostlink.core.transport.port_users import PROC, find_user
 
 # -- port users -------------------------------------------------------------------------------------------------------
 

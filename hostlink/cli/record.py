@@ -21,8 +21,8 @@ from hostlink.cli.local_time import now, offset, time_text
 from hostlink.cli.names import named, similar, unknown
 from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
+from hostlink.components.recorder.folder import is_name
 from hostlink.errors import ConfigError, HostlinkError, size
-from hostlink.recording.folder import is_name
 
 # -- record -----------------------------------------------------------------------------------------------------------
 
@@ -204,7 +204,7 @@ def progress(view: dict[str, Any]) -> str:
 
 
 def _repair(file: Path, *, as_json: bool) -> None:
-    from hostlink.recording.salvage import repair  # noqa: PLC0415 - other commands do not need it
+    from hostlink.components.recorder.salvage import repair  # noqa: PLC0415 - other commands do not need it
 
     began_s = time.monotonic()
     found = repair(file, lambda count: show_progress(quantity(count, "message")))

@@ -25,8 +25,8 @@ from hostlink.client import (
     Stopped,
     StoppedRobot,
 )
+from hostlink.core.robot.standstill import sentence
 from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
-from hostlink.robot.standstill import sentence
 
 # -- choice of robots -------------------------------------------------------------------------------------------------
 

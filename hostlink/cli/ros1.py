@@ -16,9 +16,9 @@ from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.serve_command import ApiAddress, ConfigFile, LogLevel, merge, open_device_port, with_master
 from hostlink.cli.start import import_fast
-from hostlink.config import MAX_PORT, Config, Ros1Config, SerialConfig, load
+from hostlink.components.ros1.names import NodeArguments, parse_arguments
+from hostlink.core.config import MAX_PORT, Config, Ros1Config, SerialConfig, load
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.names import NodeArguments, parse_arguments
 
 NODE = "serial_node"
 MASTER = "http://localhost:11311"
@@ -99,12 +99,12 @@ def command(
     plain = with_devices(settings, {}, arguments.others, options)  # reports wrong arguments first
     listening = [] if is_port_at_master(arguments.others, options) else open_device_port(plain.tcp)
     if settings.message_folders:  # reports wrong definitions before the wait for the master
-        importlib.import_module("hostlink.messages.catalog").Catalog(settings.message_folders)
+        importlib.import_module("hostlink.core.messages.catalog").Catalog(settings.message_folders)
     master_parameters = importlib.import_module("hostlink.cli.ros1_parameters")
     parameters, listening = master_parameters.read(node, arguments.parameters, plain.tcp, listening)
     settings = with_devices(settings, parameters, arguments.others, options)
     listening = listening or open_device_port(settings.tcp)
-    importlib.import_module("hostlink.logs").configure(level=log_level)
+    importlib.import_module("hostlink.core.runtime.logs").configure(level=log_level)
     import_fast("hostlink.cli.serve").run(settings, listening, None, ends_with_graph=True)
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 from hostlink.cli.output import write_error
 from hostlink.cli.serve_command import open_device_port
-from hostlink.config import Ros1Config, TcpConfig
+from hostlink.components.ros1.names import NameResolver, joined
+from hostlink.components.ros1.xml_rpc import BadXml, CallRefused, EarlyMaster, Unreachable
+from hostlink.core.config import Ros1Config, TcpConfig
+from hostlink.core.runtime.listening import close_all
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.names import NameResolver, joined
-from hostlink.graphs.ros1.xml_rpc import BadXml, CallRefused, EarlyMaster, Unreachable
-from hostlink.listening import close_all
 
 GLOBAL_TCP_PORT = "/rosserial_embeddedlinux/tcp_port"  # read if the node does not have its own
 RETRY_S = 1.0

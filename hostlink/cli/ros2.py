@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cancellation import first_error
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.output import write_error
 from hostlink.client import DEFAULT_URL, PRIORITY
+from hostlink.core.runtime.cancellation import first_error
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 
 CONTEXT = {"ignore_unknown_options": True, "allow_extra_args": True}  # arguments behind --ros-args are for ROS 2
@@ -46,8 +46,8 @@ def command(
     if importlib.util.find_spec("rosbags") is None:
         raise LibraryMissing("ros2", "rosbags", "ros2")
     try:
-        from hostlink.graphs.ros2.bridge import BridgeConfig, run_bridge  # noqa: PLC0415 - it takes time to import
-        from hostlink.graphs.ros2.node import ros2_node  # noqa: PLC0415 - rclpy may not be there
+        from hostlink.components.ros2.bridge import BridgeConfig, run_bridge  # noqa: PLC0415 - it takes time to import
+        from hostlink.components.ros2.node import ros2_node  # noqa: PLC0415 - rclpy may not be there
     except ImportError as error:
         raise HostlinkError(
             f"rclpy cannot be imported ({error}): source a ROS 2 installation (. /opt/ros/DISTRO/setup.sh), or run "

@@ -19,29 +19,29 @@ from typing import Any
 import structlog
 from aiohttp.http_exceptions import HttpProcessingError
 
-from hostlink import logs
-from hostlink.api.server import serve_api
-from hostlink.cancellation import first_error, meanwhile
 from hostlink.cli.check import check, describe, fitted, limit
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.output import quantity, write, write_error
-from hostlink.config import Config, UdpConfig
-from hostlink.detached import DetachedThread
-from hostlink.guardian.guardian import guarded
-from hostlink.hub.gates import Guard
-from hostlink.hub.hub import Hub, Listening
-from hostlink.hub.reloader import Read, Reloader
-from hostlink.hub.robots import Robots
-from hostlink.hub.stall_watch import slept_s
-from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
-from hostlink.listening import close_all, spelled
-from hostlink.log_budget import Budget
-from hostlink.logs import printable
-from hostlink.messages.catalog import Catalog
-from hostlink.recording.recordings import Recordings
-from hostlink.recording.robot_names import kept_names, names_file
-from hostlink.transport.tcp import advertised, serve_tcp
-from hostlink.transport.udp import serve_udp
+from hostlink.components.gateway.server import serve_api
+from hostlink.components.recorder.recordings import Recordings
+from hostlink.components.recorder.robot_names import kept_names, names_file
+from hostlink.core.config import Config, UdpConfig
+from hostlink.core.guardian.guardian import guarded
+from hostlink.core.hub.gates import Guard
+from hostlink.core.hub.hub import Hub, Listening
+from hostlink.core.hub.reloader import Read, Reloader
+from hostlink.core.hub.robots import Robots
+from hostlink.core.hub.stall_watch import slept_s
+from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.runtime import logs
+from hostlink.core.runtime.cancellation import first_error, meanwhile
+from hostlink.core.runtime.detached import DetachedThread
+from hostlink.core.runtime.listening import close_all, spelled
+from hostlink.core.runtime.log_budget import Budget
+from hostlink.core.runtime.logs import printable
+from hostlink.core.transport.tcp import advertised, serve_tcp
+from hostlink.core.transport.udp import serve_udp
 
 # -- serve ------------------------------------------------------------------------------------------------------------
 
@@ -207,10 +207,10 @@ async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator
     """Connect to the graphs of ROS 1 and Zenoh that are configured; the modules of the others are not imported."""
     async with contextlib.AsyncExitStack() as graphs:
         if config.zenoh is not None:
-            module = importlib.import_module("hostlink.graphs.zenoh.running")
+            module = importlib.import_module("hostlink.components.zenoh.running")
             await graphs.enter_async_context(module.zenoh_running(hub, config.zenoh))
         if config.ros1.master:
-            module = importlib.import_module("hostlink.graphs.ros1.node")
+            module = importlib.import_module("hostlink.components.ros1.node")
             await graphs.enter_async_context(module.ros1_running(hub, config.ros1, on_end))
         yield
 

@@ -19,9 +19,9 @@ from hostlink.cli.addresses import is_origin, parse_address, parse_serial
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.start import import_fast
-from hostlink.config import ApiConfig, Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
+from hostlink.core.config import ApiConfig, Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
+from hostlink.core.runtime.listening import listen as listen_at
 from hostlink.errors import ConfigError, LibraryMissing
-from hostlink.listening import listen as listen_at
 
 # -- command ----------------------------------------------------------------------------------------------------------
 
@@ -116,7 +116,7 @@ def command(
     listening = [] if check_config else open_device_port(settings.tcp)
     new_loop = loop_factory(loop)
     sentences = Sentences() if log_level is None else None
-    importlib.import_module("hostlink.logs").configure(level=log_level or "info", sentences=sentences)
+    importlib.import_module("hostlink.core.runtime.logs").configure(level=log_level or "info", sentences=sentences)
     daemon = import_fast("hostlink.cli.serve")
     if check_config:
         daemon.show_check(settings)

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hostlink.config import load
+from hostlink.core.config import load
+from hostlink.core.runtime.text_file import read_text
 from hostlink.errors import ConfigError
-from hostlink.text_file import read_text
 
 Tables = Mapping[str, Mapping[str, str]]  # header -> key -> value, each as TOML writes it
 _HEADER = re.compile(r"^\s*\[\s*(?P<name>[^\[\]]+?)\s*\]\s*(#.*)?$")

@@ -17,7 +17,7 @@ from hostlink.cli.connecting import ask
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.output import write, write_error
 from hostlink.client import DEFAULT_URL
-from hostlink.config import MAX_PORT, load
+from hostlink.core.config import MAX_PORT, load
 from hostlink.errors import HostlinkError
 
 # -- questions --------------------------------------------------------------------------------------------------------

@@ -8,12 +8,12 @@ import typer
 
 from hostlink.cli.addresses import DEFAULT_HOST, HostAddress, parse_address
 from hostlink.cli.output import end_line, write_error
+from hostlink.core.runtime.text_file import read_text
 from hostlink.errors import ConfigError
-from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
-from hostlink.sim.firmware_world import RobotKind
-from hostlink.sim.robot import FAULTS, HEALTHY, WHEEL_FAULTS
-from hostlink.sim.run import run_fleet
-from hostlink.text_file import read_text
+from hostlink.workbench.sim.firmware_module import WorldParameters, read, require_wasmtime
+from hostlink.workbench.sim.firmware_world import RobotKind
+from hostlink.workbench.sim.robot import FAULTS, HEALTHY, WHEEL_FAULTS
+from hostlink.workbench.sim.run import run_fleet
 
 Kind = Annotated[
     RobotKind, typer.Option(help="nimble: reaches a new speed in 0.3 s; paper: the paper's robot, in two seconds.")

@@ -19,15 +19,15 @@ from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.cli.robots import free_robot
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
+from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import (
     ConfigError,
     HostlinkError,
     RefusalKind,
     Refused,
 )
-from hostlink.loop_time import loop_time_s
-from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
-from hostlink.robot.step_response import FULL_PWM, Record, Sample, StepFigures, make_record, step_figures
+from hostlink.workbench.motor_model import MotorModel, PidGains, identify_motor, simc_gains
+from hostlink.workbench.step_response import FULL_PWM, Record, Sample, StepFigures, make_record, step_figures
 
 # -- step stages ------------------------------------------------------------------------------------------------------
 

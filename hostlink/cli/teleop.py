@@ -14,7 +14,6 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cancellation import first_error, meanwhile
 from hostlink.cli.arguments import Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import connected
 from hostlink.cli.driving import STANDING, Confirmation, Driving, Key, KeyReader, Layout, Velocity
@@ -23,10 +22,11 @@ from hostlink.cli.robots import name_of
 from hostlink.cli.teleop_screen import QUIT_KEY, UNLOCK_KEY, OwnState, lost_screen, screen
 from hostlink.client import DEFAULT_URL, Event, Host, Refusal, Robot, RobotState, connect
 from hostlink.client.views import Odometry, Twist
+from hostlink.core.robot.kinematics import DRIVES, PlanarDrive
+from hostlink.core.robot.standstill import DriveWatch, Speeds
+from hostlink.core.runtime.cancellation import first_error, meanwhile
+from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import ConfigError, HostlinkError, RefusalKind, UnknownTopic
-from hostlink.loop_time import loop_time_s
-from hostlink.robot.kinematics import DRIVES, PlanarDrive
-from hostlink.robot.standstill import DriveWatch, Speeds
 
 # -- terminal ---------------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from hostlink.cli.driving import Action, Key
 from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, ordered, robot_table
 from hostlink.cli.output import table
 from hostlink.cli.teleop_screen import QUIT_KEY, RED, YELLOW, Line, folded
-from hostlink.plain_text import plain
+from hostlink.core.runtime.plain_text import plain
 
 BOLD = "1"
 SILENT_S = 2.0  # age of an odometry that is coloured: robots send it ten times a second, slow ones once

@@ -38,8 +38,8 @@ from hostlink.cli.connecting import PATIENCE_S, ask, connected, rosapi, run_unti
 from hostlink.cli.names import listed, natural, similar, unknown
 from hostlink.cli.output import duration, is_terminal, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
+from hostlink.core.runtime.plain_text import csv_text
 from hostlink.errors import ConfigError, HostlinkError, WrongType, size
-from hostlink.plain_text import csv_text
 
 # -- services and types -----------------------------------------------------------------------------------------------
 
@@ -278,7 +278,7 @@ async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, A
 
 def standard_types() -> tuple[list[str], list[str]]:
     """List the types of messages and of services that every daemon knows."""
-    from hostlink.messages.catalog import Catalog  # noqa: PLC0415 - only for an error
+    from hostlink.core.messages.catalog import Catalog  # noqa: PLC0415 - only for an error
 
     catalog = Catalog()
     return catalog.message_names(), catalog.service_names()

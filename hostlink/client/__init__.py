@@ -38,8 +38,8 @@ from hostlink.client.views import (
     TopicState,
     Twist,
 )
+from hostlink.core.robot.standstill import Standstill, StandstillState
 from hostlink.errors import CommandRefused, HostlinkError, NothingArrived, Refused
-from hostlink.robot.standstill import Standstill, StandstillState
 
 __all__ = [
     "DEFAULT_URL",

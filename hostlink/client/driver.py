@@ -18,9 +18,9 @@ from hostlink.client.callers import Callers, calling_thread
 from hostlink.client.connection import HostConnection, Message
 from hostlink.client.http_client import CLOSE_TIMEOUT_S
 from hostlink.client.views import Driven, MotionKind, Refusal
+from hostlink.core.robot.admission import EARLIER_EPOCH, LEASE_S
+from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind, Refused
-from hostlink.robot.admission import EARLIER_EPOCH, LEASE_S
-from hostlink.robot.velocity import ZERO, PlanarVelocity
 
 REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
 _COMMAND = "command:"

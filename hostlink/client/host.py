@@ -10,7 +10,6 @@ from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, 
 from types import TracebackType
 from typing import Any, NoReturn, cast
 
-from hostlink.cancellation import raise_if_cancelled
 from hostlink.client.callers import own_context
 from hostlink.client.cells import Names, watch_cells, watched
 from hostlink.client.connection import HostConnection
@@ -29,8 +28,9 @@ from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import RAW, Graphs, GraphWatch, RawSubscription, Subscription, Topics, read_raw
 from hostlink.client.type_names import TypeName, type_name_of
 from hostlink.client.views import ConnectionChange, Event, RobotState, Stopped, TopicState
+from hostlink.core.robot.standstill import Standstill
+from hostlink.core.runtime.cancellation import raise_if_cancelled
 from hostlink.errors import BadRequest, HostlinkError, Refused
-from hostlink.robot.standstill import Standstill
 
 # -- host -------------------------------------------------------------------------------------------------------------
 

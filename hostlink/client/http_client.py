@@ -13,9 +13,9 @@ import msgspec
 
 from hostlink.client.callers import Callers, boot_s
 from hostlink.client.views import Event
+from hostlink.core.robot.standstill import Standstill, StandstillState
+from hostlink.core.robot.views import CommandEndpointView
 from hostlink.errors import ConfigError, HostlinkError, Refused
-from hostlink.robot.standstill import Standstill, StandstillState
-from hostlink.robot.views import CommandEndpointView
 
 # -- JSON -------------------------------------------------------------------------------------------------------------
 

@@ -22,14 +22,14 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from typing import NamedTuple, Self
 
-from hostlink.cancellation import raise_if_cancelled
+from hostlink.client.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.client.driver import REPEAT_INTERVAL_S, VelocitySender
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.views import Driven, Motion, MotionKind, MotionOutcome, Odometry, Progress, RobotState
+from hostlink.core.robot.kinematics import Pose, frame_of, is_near_origin, placed, wrap_angle
+from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.core.runtime.cancellation import raise_if_cancelled
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError
-from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
-from hostlink.robot.kinematics import Pose, frame_of, is_near_origin, placed, wrap_angle
-from hostlink.robot.velocity import PlanarVelocity
 
 SILENCE_S = 0.5  # without odometry the robot would drive blind
 FIRST_POSE_S = 3.0

@@ -9,7 +9,7 @@ from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, endpoints, measured
 from hostlink.client.motion import Begin, OnProgress, drive_for, follow, line, require_pose, turn
 from hostlink.client.views import Driven, Motion, Odometry, Refusal, RobotState, StoppedRobot
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.core.robot.velocity import PlanarVelocity
 
 PRIORITY = 50  # of a program; a person at the keys is 60
 WAIT_S = 1.5  # for the odometry of a robot that was stopped

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple, Self
 
-from hostlink.robot.standstill import Standstill
-from hostlink.robot.views import CommandEndpointView, OdometryView, PoseView, RobotView, TopicView, VelocityView
+from hostlink.core.robot.standstill import Standstill
+from hostlink.core.robot.views import CommandEndpointView, OdometryView, PoseView, RobotView, TopicView, VelocityView
 
 # The names that users import.
 Pose = PoseView

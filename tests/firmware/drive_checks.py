@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hostlink.sim.firmware_module import WorldParameters
+from hostlink.workbench.sim.firmware_module import WorldParameters
 from tests.firmware.worlds import FULL_PWM, LEFT, RIGHT, Trace
 
 STANDING_TICKS_S = 5.0  # 6 mm/s

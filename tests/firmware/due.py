@@ -7,8 +7,8 @@ from enum import IntEnum
 from functools import cache
 from pathlib import Path
 
-from hostlink.protocol.rosserial.frame import Frame
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.frame import Frame
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.compilers import CORE, UNDEFINED, run
 from tests.support.once import once
 

@@ -4,7 +4,7 @@ from functools import cache
 from pathlib import Path
 
 from hostlink.board.library import headers, select
-from hostlink.messages.catalog import Catalog
+from hostlink.core.messages.catalog import Catalog
 from tests.firmware.due import ROOT, ROSSERIAL
 from tests.support.compilers import SKETCH, run
 from tests.support.once import once

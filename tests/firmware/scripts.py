@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hostlink.sim.firmware_module import WorldParameters, columns, wheel
-from hostlink.sim.firmware_world import Firmware
+from hostlink.workbench.sim.firmware_module import WorldParameters, columns, wheel
+from hostlink.workbench.sim.firmware_world import Firmware
 from tests.firmware.boards import TEXT_AT, build_m3
 from tests.firmware.worlds import Trace, wheel_speeds
 

@@ -14,7 +14,7 @@ from platformio.package.meta import PackageSpec
 
 from hostlink.board.library import select
 from hostlink.cli.board import arduino_library as command
-from hostlink.messages.catalog import Catalog
+from hostlink.core.messages.catalog import Catalog
 from tests.support.board_codec import FIRMWARE, SOURCES, write_headers
 from tests.support.compilers import CORE, SKETCH, SKETCH_WARNINGS, run
 from tests.support.once import compiled

@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.board.headers import identifier
 from hostlink.board.library import headers, select
-from hostlink.messages.catalog import Catalog
+from hostlink.core.messages.catalog import Catalog
 from tests.firmware.due import ROSSERIAL
 from tests.firmware.families import AVR_CORE
 from tests.support.compilers import CORE, SKETCH, run

@@ -12,7 +12,7 @@ from typing import Any
 import aiohttp
 import pytest
 
-from hostlink.sim.firmware_module import WorldParameters
+from hostlink.workbench.sim.firmware_module import WorldParameters
 from tests.firmware import esp8266
 from tests.firmware.boards import Board, board, chain, drive
 from tests.support.process import serve

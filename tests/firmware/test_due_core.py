@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.lab.robots import S_PER_TICK_S
-from hostlink.robot.kinematics import DifferentialDrive, Pose
-from hostlink.sim.firmware_world import Feedback, Firmware
+from hostlink.core.robot.kinematics import DifferentialDrive, Pose
+from hostlink.workbench.lab.robots import S_PER_TICK_S
+from hostlink.workbench.sim.firmware_world import Feedback, Firmware
 from tests.firmware.due import library, made
 
 DRIVE = DifferentialDrive()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.sim.firmware_module import WorldParameters
+from hostlink.workbench.sim.firmware_module import WorldParameters
 from tests.firmware.worlds import LEFT, RIGHT, World, world, worlds
 
 SIDES = pytest.mark.parametrize(("side", "name"), [(LEFT, "left"), (RIGHT, "right")], ids=["left", "right"])

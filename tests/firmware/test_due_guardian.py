@@ -2,9 +2,9 @@
 
 import pytest
 
-from hostlink.guardian.frames import stop_sequence
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.rosserial.frame import STOP_REQUEST, encode
+from hostlink.core.guardian.frames import stop_sequence
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, encode
 from tests.firmware.due import Retry, node
 from tests.support.original_device import OriginalDevice
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.firmware.boards import build_native
 
 BYTES_S = 38400 / 10

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.protocol.events import Parameter
-from hostlink.protocol.rosserial.control import Log, encode_parameter
-from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.rosserial.control import Log, encode_parameter
+from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.firmware.due import Node, Retry, node
 from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.original_device import OriginalDevice

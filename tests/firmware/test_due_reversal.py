@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hostlink.lab.robots import S_PER_TICK_S
-from hostlink.sim.firmware_module import WorldParameters
-from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld, Trace
+from hostlink.workbench.lab.robots import S_PER_TICK_S
+from hostlink.workbench.sim.firmware_module import WorldParameters
+from hostlink.workbench.sim.firmware_world import COMMAND_S, FirmwareWorld, Trace
 from tests.firmware.scripts import CONNECT_MS, ROW_MS, Script, column, draw, draw_reversals, run_module
 from tests.firmware.worlds import METRES_PER_TICK
 

@@ -5,11 +5,11 @@ import struct
 
 import pytest
 
-from hostlink.protocol.events import Parameter
-from hostlink.protocol.rosserial.control import decode_log, decode_parameter_request, encode_parameter
-from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
-from hostlink.robot.kinematics import Pose
-from hostlink.sim.firmware_world import Firmware
+from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.rosserial.control import decode_log, decode_parameter_request, encode_parameter
+from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
+from hostlink.core.robot.kinematics import Pose
+from hostlink.workbench.sim.firmware_world import Firmware
 from tests.firmware.due import Retry, Robot, robot
 
 METRES_PER_TICK = 2 * math.pi * 0.045 / 230.4

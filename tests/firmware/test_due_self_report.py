@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.events import Parameter
-from hostlink.protocol.rosserial.control import decode_topic_info
-from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Id, encode
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.rosserial.control import decode_topic_info
+from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Id, encode
 from tests.firmware.due import ROOT, Robot, library, robot
 from tests.firmware.test_due_robot import Track, logged, velocity
 from tests.firmware.worlds import world
@@ -204,7 +204,7 @@ def test_documents_and_page_have_the_numbers_of_the_firmware() -> None:
     documented = {
         int(number) for row in re.findall(r"^\| ([\d, ]+) \|", table, re.MULTILINE) for number in row.split(",")
     }
-    page = (ROOT / "hostlink" / "api" / "web" / "src" / "health.ts").read_text()
+    page = (ROOT / "hostlink" / "components" / "gateway" / "web" / "src" / "health.ts").read_text()
     assert len(known) == 12
     assert documented == known
     assert {int(number) for number in re.findall(r'^  (\d+): "', page, re.MULTILINE)} == known

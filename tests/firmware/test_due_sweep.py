@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hostlink.sim.firmware_module import WorldParameters, columns, wheel
+from hostlink.workbench.sim.firmware_module import WorldParameters, columns, wheel
 from tests.firmware.boards import build_m3
 from tests.firmware.drive_checks import check_odometry, check_speed, check_standstill
 from tests.firmware.scripts import (

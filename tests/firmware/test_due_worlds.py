@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hostlink.sim.firmware_module import WorldParameters
+from hostlink.workbench.sim.firmware_module import WorldParameters
 from tests.firmware.drive_checks import ROW_S, check_odometry, check_speed, check_standstill, wheels
 from tests.firmware.worlds import FULL_PWM, LEFT, METRES_PER_TICK, RIGHT, Trace, World, world, worlds
 

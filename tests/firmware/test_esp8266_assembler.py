@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.firmware.esp8266 import Assembler
 
 pytestmark = pytest.mark.usefixtures("esp8266_built")

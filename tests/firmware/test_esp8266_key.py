@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hostlink.config import Config, TcpConfig
-from hostlink.protocol.rosserial.frame import encode
-from hostlink.sim.robot import SimulatedRobot
-from hostlink.sim.run import run_over_streams
-from hostlink.transport.keyed import ANSWER_BYTES, MAGIC, proof
+from hostlink.core.config import Config, TcpConfig
+from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.transport.keyed import ANSWER_BYTES, MAGIC, proof
+from hostlink.workbench.sim.robot import SimulatedRobot
+from hostlink.workbench.sim.run import run_over_streams
 from tests.firmware.esp8266 import Bridge, library, running_sketch
 from tests.support.daemon import daemon
 from tests.support.waiting import expect

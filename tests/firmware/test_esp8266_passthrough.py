@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hostlink.protocol.rosserial.frame import Frame, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.frame import Frame, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.firmware.esp8266 import Bridge
 
 pytestmark = pytest.mark.usefixtures("esp8266_built")

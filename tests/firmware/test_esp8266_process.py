@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.firmware.esp8266 import Sketch, running, running_sketch
 
 pytestmark = pytest.mark.usefixtures("esp8266_built")

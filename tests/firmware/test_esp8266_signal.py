@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.protocol.rosserial.control import decode_log
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.control import decode_log
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.firmware.esp8266 import Bridge
 
 pytestmark = pytest.mark.usefixtures("esp8266_built")

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hostlink.cli.main import build_app
-from hostlink.lab.experiment import (
+from hostlink.workbench.lab.experiment import (
     BACK,
     LINE,
     PAPER_WORLD,
@@ -24,7 +24,7 @@ from hostlink.lab.experiment import (
     calibrated,
     measure,
 )
-from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, CAUSES, OURS, PAPER, REBUILT, Cause, tables
+from hostlink.workbench.lab.tables import CALIBRATED, CASTER_WORLD, CAUSES, OURS, PAPER, REBUILT, Cause, tables
 
 RUNS = int(os.environ.get("HOSTLINK_LAB_RUNS", "3"))
 LABORATORY = Laboratory(workers=1)

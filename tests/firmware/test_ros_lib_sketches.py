@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from hostlink import client
-from hostlink.config import Config
+from hostlink.core.config import Config
 from tests.firmware.sketches import MOVED, Board, build, running
 from tests.support.client_topics import publish_until, received
 from tests.support.daemon import daemon

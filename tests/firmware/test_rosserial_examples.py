@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from hostlink import client
-from hostlink.config import Config, TcpConfig
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.rosserial.frame import OVERHEAD_BYTES, TOPICS_REQUEST
+from hostlink.core.config import Config, TcpConfig
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.rosserial.frame import OVERHEAD_BYTES, TOPICS_REQUEST
 from tests.firmware.examples import EXAMPLES
 from tests.firmware.sketches import KEY, WITH_KEY, build, running
 from tests.support.client_topics import publish_until, received

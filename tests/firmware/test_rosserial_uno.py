@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import pytest
 
 from hostlink import client
-from hostlink.config import Config
-from hostlink.protocol import events
-from hostlink.protocol.rosserial.session import Session
+from hostlink.core.config import Config
+from hostlink.core.protocol import events
+from hostlink.core.protocol.rosserial.session import Session
 from tests.firmware.due import ROOT, ROSSERIAL
 from tests.firmware.examples import BUILD, EXAMPLES
 from tests.firmware.families import UNO, image

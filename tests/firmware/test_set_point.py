@@ -13,8 +13,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hostlink.lab.robots import S_PER_TICK_S
-from hostlink.sim.firmware_world import COMMAND_S, Feedback, FirmwareWorld
+from hostlink.workbench.lab.robots import S_PER_TICK_S
+from hostlink.workbench.sim.firmware_world import COMMAND_S, Feedback, FirmwareWorld
 from tests.firmware.due import library, made
 
 LOOP_S = 1 / 30

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hostlink.cli.step import PAPER_GAINS, make_stage
-from hostlink.lab.robots import FILTER, FULL_PWM, LOOP_S
-from hostlink.robot.motor_model import simc_gains
-from hostlink.robot.step_response import step_figures
-from hostlink.sim.firmware_module import WorldParameters
-from hostlink.sim.firmware_world import Feedback
+from hostlink.workbench.lab.robots import FILTER, FULL_PWM, LOOP_S
+from hostlink.workbench.motor_model import simc_gains
+from hostlink.workbench.sim.firmware_module import WorldParameters
+from hostlink.workbench.sim.firmware_world import Feedback
+from hostlink.workbench.step_response import step_figures
 from tools.compare_gains import PAPER, SEPARATION_M, SIDES, Gains, compare, drawn_world, drive, identify, rows
 
 FILTER_S = -LOOP_S / math.log(1 - FILTER)  # time constant of the firmware's filter: 0.32 s

@@ -11,10 +11,10 @@ from functools import cache
 import numpy as np
 from hypothesis import strategies as st
 
-from hostlink.protocol.rosserial.control import decode_log
-from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
-from hostlink.sim.firmware_module import WorldParameters, wheel
+from hostlink.core.protocol.rosserial.control import decode_log
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.workbench.sim.firmware_module import WorldParameters, wheel
 from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, ROSSERIAL
 from tests.support.compilers import UNDEFINED, run
 from tests.support.once import once

@@ -10,7 +10,7 @@ import aiohttp
 import pytest
 
 from hostlink.client import connect
-from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.core.config import ApiConfig, Config, TokenConfig
 from hostlink.errors import ConfigError, HostlinkError
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics

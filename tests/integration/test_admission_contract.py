@@ -3,7 +3,7 @@
 The entry points are real; the device is scripted and runs in virtual time. Each row of CONNECTION runs for each entry
 point: one row for each kind of refusal, and one for each fact that an entry point passes on (a zero, an epoch, an age,
 a component, a departure). The rows of RULES run for the entry points of COMPLETE alone.
-tests/unit/robot/test_admission.py and tests/property/test_admission.py test the rules themselves.
+tests/unit/core/robot/test_admission.py and tests/property/test_admission.py test the rules themselves.
 """
 
 import ast
@@ -16,15 +16,15 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.config import Config
+from hostlink.core.config import Config
+from hostlink.core.hub.participant import Participant
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import Frame
+from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.core.robot.admission import LEASE_S, Admission
+from hostlink.core.robot.kinematics import DifferentialDrive
+from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
-from hostlink.hub.participant import Participant
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import Frame
-from hostlink.protocol.rosserial.stream import FrameStream
-from hostlink.robot.admission import LEASE_S, Admission
-from hostlink.robot.kinematics import DifferentialDrive
-from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from tests.support import entry_points
 from tests.support.command_boards import BOARDS
 from tests.support.entry_points import EntryPoint
@@ -497,12 +497,12 @@ def rows_of(entry_point: type[EntryPoint]) -> list[str]:
 #: What gives velocities in the source, and the entry points here that come that way. A `drive`, `command`, `follow` or
 #: `publish` that is not here is a way by which a robot may be driven without a test.
 SITES: dict[str, tuple[type[EntryPoint], ...]] = {
-    "api/rosbridge.py: self._participant.drive": (entry_points.RosbridgeDrive, entry_points.Page),
-    "api/rest.py: owner.drive": (entry_points.RestPut,),
-    "api/rosbridge.py: self.participant.publish": (
+    "components/gateway/rosbridge.py: self._participant.drive": (entry_points.RosbridgeDrive, entry_points.Page),
+    "components/gateway/rest.py: owner.drive": (entry_points.RestPut,),
+    "components/gateway/rosbridge.py: self.participant.publish": (
         entry_points.RosbridgePublish, entry_points.RosbridgeRaw, entry_points.TwistStamped,
     ),
-    "api/foxglove.py: self.participant.publish": (entry_points.FoxglovePublish,),
+    "components/gateway/foxglove.py: self.participant.publish": (entry_points.FoxglovePublish,),
     "cli/demo.py: self._participant.drive": (entry_points.Demo,),
     "cli/play.py: driven.drive": (entry_points.Play,),
     "cli/teleop.py: self._robot.command": (entry_points.Teleop,),
@@ -515,45 +515,45 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "client/motion.py: self._driver.drive": (entry_points.ClientDrive,),
     "client/motion.py: held.drive": (entry_points.ClientDrive,),
     "client/host.py: self._topics.publish": (entry_points.RosbridgePublish, entry_points.RosbridgeRaw),
-    "graphs/ros2/velocity.py: robot.command": (entry_points.RclpyBridge,),
-    "graphs/ros1/topics.py: participant.publish": (entry_points.Ros1Publisher,),
-    "graphs/zenoh/rmw_bridge.py: self.participant.publish": (entry_points.RmwPublisher,),
-    "graphs/zenoh/rmw_bridge.py: publisher.publish": (entry_points.RmwPublisher,),
-    "graphs/zenoh/rmw_bridge.py: self._publishers.publish": (entry_points.RmwPublisher,),
-    "graphs/zenoh/fleet_commands.py: participant.drive": (entry_points.Fleet,),
-    "graphs/zenoh/fleet_commands.py: self._participant(neighbour, _PUBLISHER, 'programs').publish": (
+    "components/ros2/velocity.py: robot.command": (entry_points.RclpyBridge,),
+    "components/ros1/topics.py: participant.publish": (entry_points.Ros1Publisher,),
+    "components/zenoh/rmw_bridge.py: self.participant.publish": (entry_points.RmwPublisher,),
+    "components/zenoh/rmw_bridge.py: publisher.publish": (entry_points.RmwPublisher,),
+    "components/zenoh/rmw_bridge.py: self._publishers.publish": (entry_points.RmwPublisher,),
+    "components/zenoh/fleet_commands.py: participant.drive": (entry_points.Fleet,),
+    "components/zenoh/fleet_commands.py: self._participant(neighbour, _PUBLISHER, 'programs').publish": (
         entry_points.FleetPublisher,
     ),
-    "graphs/zenoh/fleet_topics.py: self._drivers.publish": (entry_points.FleetPublisher,),
-    "hub/device.py: topic.publish": (
+    "components/zenoh/fleet_topics.py: self._drivers.publish": (entry_points.FleetPublisher,),
+    "core/hub/device.py: topic.publish": (
         entry_points.DevicePublisher, entry_points.SerialPublisher, entry_points.UdpPublisher,
     ),
-    "hub/gates.py: self.gates.command": (entry_points.RosbridgeDrive, entry_points.RosbridgePublish),
-    "hub/gates.py: self.command": (entry_points.RosbridgePublish, entry_points.TwistStamped),
-    "hub/participant.py: known.publish": (entry_points.RosbridgePublish,),
-    "hub/participant.py: robot.command": (entry_points.RosbridgeDrive,),
-    "hub/gates.py: gate.command": (entry_points.RosbridgeDrive,),
-    "hub/robot.py: self.hosts.drive": (entry_points.FleetSender, entry_points.FleetSenderPublish),
+    "core/hub/gates.py: self.gates.command": (entry_points.RosbridgeDrive, entry_points.RosbridgePublish),
+    "core/hub/gates.py: self.command": (entry_points.RosbridgePublish, entry_points.TwistStamped),
+    "core/hub/participant.py: known.publish": (entry_points.RosbridgePublish,),
+    "core/hub/participant.py: robot.command": (entry_points.RosbridgeDrive,),
+    "core/hub/gates.py: gate.command": (entry_points.RosbridgeDrive,),
+    "core/hub/robot.py: self.hosts.drive": (entry_points.FleetSender, entry_points.FleetSenderPublish),
 }  # fmt: skip
 #: What has the same name, and gives no velocity.
 OTHERS = {
-    "api/events.py: participant.follow": "poses",
-    "api/rest.py: self._owner(request).publish": "the reset of the odometry",
-    "api/rosbridge.py: self._topics.publish": "an advertisement",
+    "components/gateway/events.py: participant.follow": "poses",
+    "components/gateway/rest.py: self._owner(request).publish": "the reset of the odometry",
+    "components/gateway/rosbridge.py: self._topics.publish": "an advertisement",
     "cli/calibration_session.py: self._drives.follow": "calls Drives.follow",
     "cli/calibrate.py: self._session.follow": "calls calibration_session.py",
     "cli/teleop.py: watched.follow": "events",
     "cli/play.py: device.publish": "a played device obeys nobody, and its velocities drive nobody",
     "cli/step.py: host.publish": "gains",
-    "graphs/ros2/routes.py: echoes.publish": "to ROS 2",
-    "graphs/ros2/routes.py: publisher.publish": "to ROS 2",
-    "graphs/zenoh/fleet.py: self._robots.follow": "poses",
-    "graphs/zenoh/fleet_topics.py: self._participant.publish": "what a device elsewhere sends; a velocity is no such",
-    "hub/device.py: self.link.session.publish": "to the device",
-    "hub/diagnostics_topic.py: self._participant.publish": "diagnostics",
-    "hub/gates.py: link.session.publish": "to the device",
-    "hub/robot_topic_publisher.py: topic.publish": "odometry",
-    "hub/rosout.py: self._participant.publish": "lines of the log",
+    "components/ros2/routes.py: echoes.publish": "to ROS 2",
+    "components/ros2/routes.py: publisher.publish": "to ROS 2",
+    "components/zenoh/fleet.py: self._robots.follow": "poses",
+    "components/zenoh/fleet_topics.py: self._participant.publish": "what a device elsewhere sends; no velocity",
+    "core/hub/device.py: self.link.session.publish": "to the device",
+    "core/hub/diagnostics_topic.py: self._participant.publish": "diagnostics",
+    "core/hub/gates.py: link.session.publish": "to the device",
+    "core/hub/robot_topic_publisher.py: topic.publish": "odometry",
+    "core/hub/rosout.py: self._participant.publish": "lines of the log",
 }
 
 
@@ -731,7 +731,7 @@ def test_guardian_has_frames_that_stop_each_command_type(name: str) -> None:
 
 
 def test_stream_of_ros2_that_is_not_planar_is_refused_and_disarmed_by_a_stop() -> None:
-    """tests/unit/hub/test_gates.py has the same for what is published. `cannot` would name all other ways here."""
+    """tests/unit/core/hub/test_gates.py has the same for what is published. `cannot` would name all other ways here."""
 
     async def test(made: Scene) -> None:
         way = entry_points.RclpyBridge(made)

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from prometheus_client.parser import text_string_to_metric_families
 
-from hostlink.config import Config, RecordingConfig
+from hostlink.core.config import Config, RecordingConfig
 from tests.support.daemon import daemon
 from tests.support.device_reports import BATTERY, battery
 from tests.support.fake_device import fake_device, pose, robot_topics

@@ -12,7 +12,7 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from hostlink.config import ApiConfig, Config
+from hostlink.core.config import ApiConfig, Config
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.waiting import TIMEOUT_S, expect

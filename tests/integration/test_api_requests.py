@@ -10,8 +10,8 @@ import aiohttp
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.config import ApiConfig, Config
-from hostlink.log_budget import LOG_INTERVAL_S
+from hostlink.core.config import ApiConfig, Config
+from hostlink.core.runtime.log_budget import LOG_INTERVAL_S
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.http_requests import UPGRADE, draw_request

@@ -13,14 +13,14 @@ from typing import Any
 import pytest
 from aiohttp.test_utils import make_mocked_request
 
-from hostlink.api.history import HistoryRoutes
-from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
-from hostlink.detached import start_python
-from hostlink.recording import black_box
-from hostlink.recording.black_box import MAX_CHANNELS, BlackBox
-from hostlink.recording.channel import Channel
-from hostlink.recording.reader import McapReader, StoredMessage
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.components.gateway.history import HistoryRoutes
+from hostlink.components.recorder import black_box
+from hostlink.components.recorder.black_box import MAX_CHANNELS, BlackBox
+from hostlink.components.recorder.channel import Channel
+from hostlink.components.recorder.reader import McapReader, StoredMessage
+from hostlink.core.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
+from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.core.runtime.detached import start_python
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.waiting import TIMEOUT_S, expect

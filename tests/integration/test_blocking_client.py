@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from hostlink.client import BlockingHost, connect_blocking
+from hostlink.core.hub.robot_events import LET_GO
 from hostlink.errors import HostlinkError
-from hostlink.hub.robot_events import LET_GO
 from tests.support.daemon import Daemon, daemon, stops_of
 from tests.support.driving import obeyed
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics

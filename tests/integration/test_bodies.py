@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.core.config import ApiConfig, Config, TokenConfig
 from tests.support.api_loads import head
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics

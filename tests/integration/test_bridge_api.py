@@ -9,8 +9,8 @@ import pytest
 
 from hostlink.client import Host, HostlinkError, connect
 from hostlink.client.mailbox import Mailbox
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics, topic
 from tests.support.rosbridge import client

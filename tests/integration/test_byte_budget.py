@@ -5,8 +5,8 @@ import asyncio
 import msgspec
 import pytest
 
-from hostlink.config import ApiConfig, Config
-from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
+from hostlink.core.config import ApiConfig, Config
+from hostlink.core.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from tests.support.api_loads import frame, websocket_head
 from tests.support.daemon import daemon
 from tests.support.rosbridge import client

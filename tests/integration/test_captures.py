@@ -6,14 +6,14 @@ from typing import Any
 import msgspec
 from structlog.testing import capture_logs
 
-from hostlink.capture_file import Read, load_reads
 from hostlink.cli.inspect import Inspection
 from hostlink.cli.probe import probe_capture
-from hostlink.link.capture_buffer import CAPTURE_BYTES
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.link.capture_buffer import CAPTURE_BYTES
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.runtime.capture_file import Read, load_reads
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect

@@ -11,11 +11,11 @@ from aiohttp import web
 
 from hostlink.client import connect
 from hostlink.client.connection import waits
-from hostlink.config import ApiConfig, Config
+from hostlink.core.config import ApiConfig, Config
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.control import Log
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from hostlink.errors import CommandRefused, HostlinkError
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.control import Log
-from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import fake_device, pose, robot_topics, service_server, topic

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hostlink.client import Host, connect
+from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.errors import HostlinkError
-from hostlink.protocol.endpoint import EndpointKind
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import hold
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic

@@ -9,11 +9,11 @@ import pytest
 
 from hostlink.client import ConnectionChange, Host, Robot, connect
 from hostlink.client.mailbox import Mailbox
+from hostlink.core.hub.robot import AnyRobot
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import HostlinkError
-from hostlink.hub.robot import AnyRobot
-from hostlink.loop_time import loop_time_s
-from hostlink.robot.admission import LEASE_S
-from hostlink.sim.robot import SimulatedRobot
+from hostlink.workbench.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import Line, Proxy, proxy
 from tests.support.simulated import simulated_robot

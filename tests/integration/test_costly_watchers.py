@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from hostlink.cli import serve as module
-from hostlink.hub.graph_changes import LATEST_S, GraphKind
+from hostlink.core.hub.graph_changes import LATEST_S, GraphKind
 from tests.support.daemon import daemon
 from tests.support.waiting import expect
 

@@ -7,9 +7,9 @@ import tracemalloc
 
 import pytest
 
-from hostlink.hub.message import Message
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.hub.message import Message
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.participants import subscribe

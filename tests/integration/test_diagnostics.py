@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 import pytest
 import roslibpy
 
-from hostlink.config import Config, LinkConfig, RobotConfig, SerialConfig
-from hostlink.hub.diagnostics_topic import INTERVAL_S, TOPIC, TYPE, Level
+from hostlink.core.config import Config, LinkConfig, RobotConfig, SerialConfig
+from hostlink.core.hub.diagnostics_topic import INTERVAL_S, TOPIC, TYPE, Level
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.waiting import expect

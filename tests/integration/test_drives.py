@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from hostlink.client import connect
-from hostlink.config import Config, RecordingConfig
-from hostlink.recording.drives import NAME
+from hostlink.components.recorder.drives import NAME
+from hostlink.core.config import Config, RecordingConfig
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import run

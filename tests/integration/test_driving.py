@@ -2,8 +2,8 @@
 
 import pytest
 
-from hostlink.hub.robot_events import OWNER_LEFT
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.core.hub.robot_events import OWNER_LEFT
+from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.daemon import daemon, stops_of
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.gates import drive_gate

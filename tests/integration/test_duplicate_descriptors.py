@@ -8,10 +8,10 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from hostlink.config import SerialConfig, TcpConfig
-from hostlink.transport.base import CLOSE_TIMEOUT_S, Transport
-from hostlink.transport.serial import open_serial
-from hostlink.transport.tcp import serve_tcp
+from hostlink.core.config import SerialConfig, TcpConfig
+from hostlink.core.transport.base import CLOSE_TIMEOUT_S, Transport
+from hostlink.core.transport.serial import open_serial
+from hostlink.core.transport.tcp import serve_tcp
 from tests.support.memory_transport import memory_pair
 from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch

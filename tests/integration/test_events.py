@@ -12,10 +12,10 @@ import aiohttp
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.api.events import CHECK_S, TICK_S
-from hostlink.config import Config, LinkConfig
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.components.gateway.events import CHECK_S, TICK_S
+from hostlink.core.config import Config, LinkConfig
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish

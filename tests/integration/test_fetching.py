@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.cli.files import fetch
 from hostlink.client import connect
-from hostlink.config import Config, RecordingConfig
+from hostlink.core.config import Config, RecordingConfig
 from hostlink.errors import HostlinkError
 from tests.support.daemon import daemon
 

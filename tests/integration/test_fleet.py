@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from hostlink.config import Config, LinkConfig, RobotConfig
+from hostlink.core.config import Config, LinkConfig, RobotConfig
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.control import decode_parameter
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.rosserial.topic_table import MAX_MISSED
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import CommandRefused, RefusalKind
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.control import decode_parameter
-from hostlink.protocol.rosserial.frame import Id, encode
-from hostlink.protocol.rosserial.topic_table import MAX_MISSED
-from hostlink.robot.velocity import PlanarVelocity
-from hostlink.sim.kinematic_robot import DRIVES
-from hostlink.sim.run import run_fleet
+from hostlink.workbench.sim.kinematic_robot import DRIVES
+from hostlink.workbench.sim.run import run_fleet
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_parameter_request
 from tests.support.fake_device import (

@@ -5,8 +5,8 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from hostlink.protocol.rosserial.control import Log
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.rosserial.control import Log
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import fake_device, pose, robot_topics

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hostlink.api.foxglove import FoxgloveDirectory
-from hostlink.config import RobotConfig
-from hostlink.hub.robot import frames_of
-from hostlink.messages.message_type import MessageType
+from hostlink.components.gateway.foxglove import FoxgloveDirectory
+from hostlink.core.config import RobotConfig
+from hostlink.core.hub.robot import frames_of
+from hostlink.core.messages.message_type import MessageType
 from tests.support.daemon import daemon
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect

@@ -12,11 +12,11 @@ import aiohttp
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.config import ApiConfig, Config, TokenConfig
-from hostlink.hub.robot_events import OWNER_LEFT
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.core.config import ApiConfig, Config, TokenConfig
+from hostlink.core.hub.robot_events import OWNER_LEFT
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, stops_of
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.waiting import TIMEOUT_S, expect

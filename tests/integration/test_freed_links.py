@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 import pytest
 
-from hostlink.api.clients import ClientQueue
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.hub.diagnoses import ENDED_LINKS
-from hostlink.hub.topic import Topic
-from hostlink.link.link import Link
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Id, encode
-from hostlink.protocol.rosserial.session import Session
+from hostlink.components.gateway.clients import ClientQueue
+from hostlink.components.gateway.foxglove import FoxgloveClient
+from hostlink.components.gateway.rosbridge import RosbridgeClient
+from hostlink.core.hub.diagnoses import ENDED_LINKS
+from hostlink.core.hub.topic import Topic
+from hostlink.core.link.link import Link
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.rosserial.session import Session
 from tests.support.api_loads import frame, operation, websocket_head
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import robot_topics

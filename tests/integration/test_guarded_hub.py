@@ -1,10 +1,10 @@
-"""The connection of a robot that the daemon hands to its guard; tests/unit/hub/test_gates.py has the rules."""
+"""The connection of a robot that the daemon hands to its guard; tests/unit/core/hub/test_gates.py has the rules."""
 
 import os
 import socket
 
 from hostlink.cli.serve import running
-from hostlink.config import ApiConfig, Config, TcpConfig
+from hostlink.core.config import ApiConfig, Config, TcpConfig
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.memory_hub import RecordingGuard, twist_zeros
 from tests.support.waiting import expect

@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.guardian.frames import stop_sequence
-from hostlink.guardian.guardian import CODE, Guardian, _spawn
-from hostlink.guardian.records import GOODBYE, MAX_FRAMES_BYTES, PING, WATCH
-from hostlink.guardian.records import encode as encode_record
-from hostlink.protocol.rosserial.frame import STOP_REQUEST, encode
+from hostlink.core.guardian.frames import stop_sequence
+from hostlink.core.guardian.guardian import CODE, Guardian, _spawn
+from hostlink.core.guardian.records import GOODBYE, MAX_FRAMES_BYTES, PING, WATCH
+from hostlink.core.guardian.records import encode as encode_record
+from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, encode
 from tests.support.killing import guarded_by
 from tests.support.process import is_running
 from tests.support.pty_pair import pty_pair
@@ -462,7 +462,7 @@ def test_guardian_program_imports_the_standard_library_alone() -> None:
         "structlog",
     }
     assert {name for name in modules if name.startswith("hostlink.")} == {
-        "hostlink.guardian",
-        "hostlink.remains",
-        *(f"hostlink.guardian.{part}" for part in ("process", "connection", "frames", "records")),
+        "hostlink.core.guardian",
+        "hostlink.core.runtime.remains",
+        *(f"hostlink.core.guardian.{part}" for part in ("process", "connection", "frames", "records")),
     }

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.diagnosis.link_monitor import LinkMonitor
-from hostlink.protocol import events
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import Id, encode
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.core.diagnosis.link_monitor import LinkMonitor
+from hostlink.core.protocol import events
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.compiled_modules import replaces_a_method
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.config import Config, TcpConfig
+from hostlink.core.config import Config, TcpConfig
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST
+from hostlink.core.transport.keyed import ANSWER_BYTES, PROOF_TIMEOUT_S, exchange_proofs, read_key
 from hostlink.errors import ConfigError
-from hostlink.protocol.rosserial.frame import TOPICS_REQUEST
-from hostlink.transport.keyed import ANSWER_BYTES, PROOF_TIMEOUT_S, exchange_proofs, read_key
 from tests.support.daemon import daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.keyed_device import prove_key

@@ -8,17 +8,17 @@ from collections.abc import Awaitable, Callable
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.config import Config, LinkConfig, RobotConfig
+from hostlink.core.config import Config, LinkConfig, RobotConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.node import Node
+from hostlink.core.hub.robots import MAX_AWAY
+from hostlink.core.hub.topic import Subscriber
+from hostlink.core.hub.topic_graph import TopicGraph
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.message_type import MessageType
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import CommandRefused
-from hostlink.hub.hub import Hub
-from hostlink.hub.node import Node
-from hostlink.hub.robots import MAX_AWAY
-from hostlink.hub.topic import Subscriber
-from hostlink.hub.topic_graph import TopicGraph
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.message_type import MessageType
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.growth import is_linear

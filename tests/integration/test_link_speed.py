@@ -5,16 +5,16 @@ import time
 
 import pytest
 
-from hostlink.config import LinkConfig
-from hostlink.link.fair_share import FairShare
-from hostlink.link.link import Link
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.events import Event
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Id, encode
-from hostlink.protocol.rosserial.session import Session
-from hostlink.protocol.rosserial.stream import FrameStream
-from hostlink.transport.base import READ_BYTES
+from hostlink.core.config import LinkConfig
+from hostlink.core.link.fair_share import FairShare
+from hostlink.core.link.link import Link
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.events import Event
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.rosserial.session import Session
+from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.core.transport.base import READ_BYTES
 from tests.support.memory_transport import memory_pair
 
 INFO = DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/long", "std_msgs/String", "m", 2048)

@@ -4,9 +4,9 @@ import asyncio
 
 import pytest
 
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.frame import Id
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id
+from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, announcement, fake_device, robot_topics, topic
 from tests.support.gates import drive_gate

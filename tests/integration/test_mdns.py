@@ -8,9 +8,9 @@ import pytest
 from zeroconf import ServiceStateChange, Zeroconf
 from zeroconf.asyncio import AsyncServiceBrowser, AsyncServiceInfo, AsyncZeroconf
 
-from hostlink.config import Config, TcpConfig
+from hostlink.core.config import Config, TcpConfig
+from hostlink.core.transport.tcp import SERVICE, advertised
 from hostlink.errors import ConfigError
-from hostlink.transport.tcp import SERVICE, advertised
 from tests.support.daemon import daemon
 from tests.support.waiting import TIMEOUT_S
 

@@ -16,13 +16,13 @@ import yaml
 from prometheus_client.parser import text_string_to_metric_families
 from structlog.testing import capture_logs
 
-from hostlink.api import metrics as recording_metrics
-from hostlink.api.rest import MAX_OWNERS
-from hostlink.config import BlackBoxConfig, Config, RecordingConfig
-from hostlink.hub.message import Message
-from hostlink.hub.topic import MAX_WAITING
-from hostlink.protocol.rosserial.frame import encode
-from hostlink.recording.folder import DiskUsage, Folder
+from hostlink.components.gateway import metrics as recording_metrics
+from hostlink.components.gateway.rest import MAX_OWNERS
+from hostlink.components.recorder.folder import DiskUsage, Folder
+from hostlink.core.config import BlackBoxConfig, Config, RecordingConfig
+from hostlink.core.hub.message import Message
+from hostlink.core.hub.topic import MAX_WAITING
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_reports import BATTERY, battery
 from tests.support.fake_device import fake_device, pose, robot_topics, service_server

@@ -8,7 +8,7 @@ import pytest
 
 from hostlink.client import BlockingHost, MotionOutcome, Progress, connect, connect_blocking
 from hostlink.errors import HostlinkError
-from hostlink.sim.firmware_world import RobotKind
+from hostlink.workbench.sim.firmware_world import RobotKind
 from tests.support.daemon import Daemon, daemon
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect

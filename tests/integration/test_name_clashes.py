@@ -4,10 +4,10 @@ import struct
 
 import pytest
 
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import HostlinkError
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.frame import encode
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, service_server, topic
 from tests.support.gates import drive_gate

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from hostlink.config import CalibrationConfig, Config, RobotConfig
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.config import CalibrationConfig, Config, RobotConfig
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.rosbridge import Client, client

@@ -8,10 +8,10 @@ from typing import Any
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 
-from hostlink.config import ApiConfig, Config
+from hostlink.core.config import ApiConfig, Config
+from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.hub.gates import RemoteHosts
 from hostlink.errors import DeviceGone
-from hostlink.hub.device import CommandEndpoint
-from hostlink.hub.gates import RemoteHosts
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from hostlink.cli.demo import DRIVE, DemoDriver
+from hostlink.core.hub.message import Message
+from hostlink.core.hub.node import Role
+from hostlink.core.hub.robot import AnyRobot
+from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.errors import BadRequest, HostlinkError
-from hostlink.hub.message import Message
-from hostlink.hub.node import Role
-from hostlink.hub.robot import AnyRobot
-from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.foreign_drivers import FOREIGN
 from tests.support.participants import (
     ALL,

@@ -13,13 +13,13 @@ from hostlink.cli import play
 from hostlink.cli.demo import DemoDriver
 from hostlink.cli.names import driver
 from hostlink.client import connect
+from hostlink.components.recorder.channel import DEVICE, VELOCITY
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.robot.velocity import ZERO
+from hostlink.core.runtime.listening import spelled
 from hostlink.errors import ConfigError
-from hostlink.listening import spelled
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
-from hostlink.recording.channel import DEVICE, VELOCITY
-from hostlink.robot.velocity import ZERO
-from hostlink.sim.run import SocketAddress, run_fleet
+from hostlink.workbench.sim.run import SocketAddress, run_fleet
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.recorded import COMMANDS, FORWARD, ODOMETRY, PLAYBACK, POSE, channel, recording
@@ -48,7 +48,7 @@ def is_driven(host: Daemon) -> bool:
 
 
 async def test_the_demo_drives_its_own_robots_and_no_board_or_recording_that_connects_too() -> None:
-    mark = topic(EndpointKind.PUBLISHER, 130, "/played/played", "hostlink/PlayedRecording")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/played/played", "hostlink_msgs/PlayedRecording")
     played = [*robot_topics("played"), mark]
     own: dict[str, SocketAddress] = {}
     async with (
@@ -139,7 +139,7 @@ async def test_a_message_that_no_device_can_send_is_left_out(
     assert capsys.readouterr().err.endswith("3 messages played, 1 left out\n")
 
 
-MARK = topic(EndpointKind.PUBLISHER, 130, "/joystick/played", "hostlink/PlayedRecording")
+MARK = topic(EndpointKind.PUBLISHER, 130, "/joystick/played", "hostlink_msgs/PlayedRecording")
 TO_ANOTHER = topic(EndpointKind.PUBLISHER, 131, "/robot_0/velocity_commands", "geometry_msgs/Twist")
 
 
@@ -164,7 +164,7 @@ async def test_robot_that_connects_takes_its_name_from_the_played_robot(tmp_path
 
 
 async def test_played_robot_is_marked_as_played_until_the_robot_itself_connects() -> None:
-    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "hostlink/PlayedRecording")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "hostlink_msgs/PlayedRecording")
     async with daemon() as host:
         async with fake_device(host.tcp, [*robot_topics(), mark]):
             await expect(lambda: host.hub.robots.has("robot_0") and host.hub.robots.find("robot_0").is_played)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.resources import in_use

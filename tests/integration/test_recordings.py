@@ -18,21 +18,21 @@ import pytest
 import structlog
 from structlog.testing import capture_logs
 
-from hostlink import logs
-from hostlink.api.history import recording_history
-from hostlink.config import ApiConfig, Config, RecordingConfig, TokenConfig
-from hostlink.hub.node import is_of
-from hostlink.hub.topic import Topic
-from hostlink.recording import mcap_writer
-from hostlink.recording import recordings as recordings_module
-from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, json_of
-from hostlink.recording.folder import Folder
-from hostlink.recording.mcap_format import MAGIC
-from hostlink.recording.owner import NAME as OWNER
-from hostlink.recording.reader import McapReader, StoredMessage
-from hostlink.recording.recorder import GROUP, TopicSelection
-from hostlink.recording.recordings import Recordings
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.components.gateway.history import recording_history
+from hostlink.components.recorder import mcap_writer
+from hostlink.components.recorder import recordings as recordings_module
+from hostlink.components.recorder.channel import EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, json_of
+from hostlink.components.recorder.folder import Folder
+from hostlink.components.recorder.mcap_format import MAGIC
+from hostlink.components.recorder.owner import NAME as OWNER
+from hostlink.components.recorder.reader import McapReader, StoredMessage
+from hostlink.components.recorder.recorder import GROUP, TopicSelection
+from hostlink.components.recorder.recordings import Recordings
+from hostlink.core.config import ApiConfig, Config, RecordingConfig, TokenConfig
+from hostlink.core.hub.node import is_of
+from hostlink.core.hub.topic import Topic
+from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.core.runtime import logs
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import driven
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics

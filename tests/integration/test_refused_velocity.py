@@ -11,14 +11,14 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.api.clients import ClientQueue
-from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
-from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.client import CommandRefused, Refused, connect
-from hostlink.config import Config
+from hostlink.components.gateway.clients import ClientQueue
+from hostlink.components.gateway.foxglove import FoxgloveClient, FoxgloveDirectory
+from hostlink.components.gateway.rosbridge import RosbridgeClient
+from hostlink.core.config import Config
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import FrameTooLarge, HostlinkError
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics, topic
 from tests.support.participants import Scene, play

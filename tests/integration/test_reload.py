@@ -11,9 +11,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.client import connect
-from hostlink.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig
+from hostlink.core.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig
+from hostlink.core.robot.velocity import ZERO
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.robot.velocity import ZERO
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.rosbridge import Client

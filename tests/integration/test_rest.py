@@ -1,6 +1,6 @@
 """The REST API: what a script gets, and what it is told when it asks for something else."""
 
-from hostlink.api.views import robot_view
+from hostlink.components.gateway.views import robot_view
 from tests.support.daemon import daemon
 from tests.support.device_reports import BATTERY, report
 from tests.support.fake_device import fake_device, robot_topics

@@ -14,15 +14,15 @@ from typing import Any
 import pytest
 
 from hostlink.cli.serve import SWITCH_INTERVAL_S
-from hostlink.config import Config, ZenohConfig
+from hostlink.components.graphs.ros2_types import Ros2Types
+from hostlink.components.zenoh import rmw_bridge
+from hostlink.components.zenoh.rmw_protocol import parse_token
+from hostlink.components.zenoh.session import Token
+from hostlink.core.config import Config, ZenohConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.message import Message
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import ServiceFailed
-from hostlink.graphs.ros2_types import Ros2Types
-from hostlink.graphs.zenoh import rmw_bridge
-from hostlink.graphs.zenoh.rmw_protocol import parse_token
-from hostlink.graphs.zenoh.session import Token
-from hostlink.hub.hub import Hub
-from hostlink.hub.message import Message
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics
 from tests.support.participants import text
@@ -442,4 +442,4 @@ def test_a_daemon_without_zenoh_imports_nothing_of_it() -> None:
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, check=True, text=True)
     loaded = {name for name in done.stdout.split() if name.partition(".")[0] in ("zenoh", "xxhash")}
     assert not loaded
-    assert not [name for name in done.stdout.split() if name.startswith("hostlink.graphs.")]
+    assert not [name for name in done.stdout.split() if name.startswith("hostlink.components.graphs.")]

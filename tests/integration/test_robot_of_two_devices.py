@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from hostlink.config import Config, RobotConfig
+from hostlink.core.config import Config, RobotConfig
+from hostlink.core.hub.hub import places_of
+from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import CommandRefused
-from hostlink.hub.hub import places_of
-from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import topic
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.scripted_device import ScriptedDevice

@@ -5,10 +5,10 @@ import time
 
 import pytest
 
-from hostlink.config import Config, RobotConfig
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.core.config import Config, RobotConfig
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish

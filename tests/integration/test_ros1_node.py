@@ -9,10 +9,10 @@ from collections.abc import AsyncIterator
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.graphs.ros1.tcpros import encode_answer, encode_message
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import TWIST_TYPE
+from hostlink.components.ros1.tcpros import encode_answer, encode_message
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.velocity import TWIST_TYPE
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.ros1.fake import FakePublisher, connection, fake_publisher, fake_service
 from tests.support.ros1.scene import STRING, SUBSCRIBER, TEXT, VELOCITY, Scene, plain_scene, twist

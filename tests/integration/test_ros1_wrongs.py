@@ -9,12 +9,12 @@ from collections.abc import AsyncIterator
 import aiohttp
 import pytest
 
-from hostlink.config import Ros1Config
-from hostlink.graphs.ros1 import node
-from hostlink.graphs.ros1.local_node import Rpc
-from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable, decode_answer, encode_answer, encode_call
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.components.ros1 import node
+from hostlink.components.ros1.local_node import Rpc
+from hostlink.components.ros1.xml_rpc import CallRefused, Unreachable, decode_answer, encode_answer, encode_call
+from hostlink.core.config import Ros1Config
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.fake_device import CATALOG, fake_device, pose, topic
 from tests.support.ros1.fake import connection, fake_master, xml_rpc_server
 from tests.support.ros1.scene import ODOMETRY, STRING, SUBSCRIBER, Scene, plain_scene, scene

@@ -5,7 +5,7 @@ import contextlib
 
 import aiohttp
 
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, service_client, service_server
 from tests.support.rosbridge import client

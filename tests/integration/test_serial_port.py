@@ -15,13 +15,13 @@ from typing import Literal
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.config import SerialConfig
-from hostlink.diagnosis.evidence import port_finding
-from hostlink.hub.hub import Hub
-from hostlink.listeners.accepting import serve_serial
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Id, encode
-from hostlink.transport.serial import (
+from hostlink.core.config import SerialConfig
+from hostlink.core.diagnosis.evidence import port_finding
+from hostlink.core.hub.hub import Hub
+from hostlink.core.listeners.accepting import serve_serial
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.transport.serial import (
     DTR_PULSE_S,
     UsbPort,
     choose_by_serial,

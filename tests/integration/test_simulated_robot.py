@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import TIMEOUT_S
 

@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from hostlink.config import Config, load
-from hostlink.hub.reloader import places_of
-from hostlink.hub.robot import LocalRobot
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.frame import Id
-from hostlink.robot.model import Endpoint, actuators, find_robot, suggestion, unguarded
-from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, PlanarVelocity
+from hostlink.core.config import Config, load
+from hostlink.core.hub.reloader import places_of
+from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id
+from hostlink.core.robot.model import Endpoint, actuators, find_robot, suggestion, unguarded
+from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.scripted_device import ScriptedDevice

@@ -4,8 +4,8 @@ import asyncio
 import socket
 import struct
 
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.api_loads import operation, websocket_head
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics, topic

@@ -14,19 +14,19 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.config import Config, LinkConfig
+from hostlink.core.config import Config, LinkConfig
+from hostlink.core.hub.gates import MAX_STEPS, TICK_S
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.message import PROGRAM_PRIORITY
+from hostlink.core.hub.robot import AnyRobot, RemoteRobot
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.errors import CommandRefused, RefusalKind
-from hostlink.hub.gates import MAX_STEPS, TICK_S
-from hostlink.hub.hub import Hub
-from hostlink.hub.message import PROGRAM_PRIORITY
-from hostlink.hub.robot import AnyRobot, RemoteRobot
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.protocol import ROSSERIAL
-from hostlink.protocol.rosserial.stream import FrameStream
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import ZERO, PlanarVelocity
-from hostlink.sim.robot import SimulatedRobot
+from hostlink.workbench.sim.robot import SimulatedRobot
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub

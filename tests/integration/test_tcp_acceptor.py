@@ -6,9 +6,9 @@ from collections.abc import AsyncIterator
 
 from structlog.testing import capture_logs
 
-from hostlink.config import Config, TcpConfig
-from hostlink.log_budget import LOG_INTERVAL_S
-from hostlink.loop_time import loop_time_s
+from hostlink.core.config import Config, TcpConfig
+from hostlink.core.runtime.log_budget import LOG_INTERVAL_S
+from hostlink.core.runtime.loop_time import loop_time_s
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.waiting import expect

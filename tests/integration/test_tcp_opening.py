@@ -5,10 +5,10 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from hostlink.config import TcpConfig
-from hostlink.listening import listen_on
-from hostlink.transport.base import Transport
-from hostlink.transport.tcp import serve_tcp
+from hostlink.core.config import TcpConfig
+from hostlink.core.runtime.listening import listen_on
+from hostlink.core.transport.base import Transport
+from hostlink.core.transport.tcp import serve_tcp
 from tests.support.tcp_server import never
 from tests.support.waiting import expect
 

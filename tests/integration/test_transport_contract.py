@@ -12,13 +12,13 @@ from collections.abc import AsyncIterator, Callable
 
 import pytest
 
-from hostlink.config import SerialConfig, TcpConfig, UdpConfig
+from hostlink.core.config import SerialConfig, TcpConfig, UdpConfig
+from hostlink.core.transport.base import CLOSE_TIMEOUT_S, READ_BYTES, Transport
+from hostlink.core.transport.connection import KEEPALIVE
+from hostlink.core.transport.serial import open_serial
+from hostlink.core.transport.tcp import SEND_BUFFER_BYTES, USER_TIMEOUT_MS, serve_tcp
+from hostlink.core.transport.udp import Datagram, UdpPort, UdpTransport, serve_udp
 from hostlink.errors import ConfigError
-from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES, Transport
-from hostlink.transport.connection import KEEPALIVE
-from hostlink.transport.serial import open_serial
-from hostlink.transport.tcp import SEND_BUFFER_BYTES, USER_TIMEOUT_MS, serve_tcp
-from hostlink.transport.udp import Datagram, UdpPort, UdpTransport, serve_udp
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch
@@ -301,7 +301,7 @@ class TestContract:
                 await send_without_end(transport)
         watch = Stopwatch()
         await transport.aclose()
-        assert watch.seconds < CLOSE_TIMEOUT_S + 3.0  # tests/unit/transport/test_connection.py has the exact time
+        assert watch.seconds < CLOSE_TIMEOUT_S + 3.0  # tests/unit/core/transport/test_connection.py has the exact time
         assert await has_ended(transport)
 
     async def test_a_close_that_is_cancelled_aborts(self, ends: tuple[Transport, Peer]) -> None:

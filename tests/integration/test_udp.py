@@ -13,16 +13,16 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.config import Config, LinkConfig, UdpConfig
+from hostlink.core.config import Config, LinkConfig, UdpConfig
+from hostlink.core.listeners.accepting import OPENED_A_SECOND
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, encode
+from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.core.robot.velocity_gate import ZEROS
+from hostlink.core.transport.keyed import HELLO, MAGIC, RANDOM_BYTES, proof
+from hostlink.core.transport.udp import MAX_DATAGRAM_BYTES, serve_udp
 from hostlink.errors import ConfigError
-from hostlink.listeners.accepting import OPENED_A_SECOND
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, encode
-from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.velocity_gate import ZEROS
-from hostlink.transport.keyed import HELLO, MAGIC, RANDOM_BYTES, proof
-from hostlink.transport.udp import MAX_DATAGRAM_BYTES, serve_udp
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, repeating, robot_topics, topic
 from tests.support.udp_device import GREETING, udp_device

@@ -8,9 +8,9 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from hostlink.config import Config, UdpConfig
-from hostlink.hub.hub import Hub
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.core.config import Config, UdpConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.daemon import daemon
 from tests.support.fake_device import pose, robot_topics
 from tests.support.precedence import GOES_LAST

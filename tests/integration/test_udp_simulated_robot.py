@@ -4,11 +4,11 @@ import asyncio
 import socket
 from contextlib import AbstractAsyncContextManager
 
-from hostlink.config import Config, UdpConfig
-from hostlink.hub.hub import Hub
-from hostlink.robot.standstill import StandstillState
-from hostlink.robot.velocity import PlanarVelocity
-from hostlink.sim.run import GREETING_S, run_fleet
+from hostlink.core.config import Config, UdpConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.robot.standstill import StandstillState
+from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.workbench.sim.run import GREETING_S, run_fleet
 from tests.support.background import meanwhile
 from tests.support.daemon import daemon
 from tests.support.waiting import TIMEOUT_S, expect

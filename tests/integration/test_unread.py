@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from hostlink.api.events import MOST_BYTES, unread_bytes, until_read
+from hostlink.components.gateway.events import MOST_BYTES, unread_bytes, until_read
 
 SENT_BYTES = 1 << 20
 

@@ -11,9 +11,9 @@ from typing import TypeVar
 import pytest
 
 from hostlink.cli.uvloop_loop import UvLoop
-from hostlink.config import Config, TcpConfig, UdpConfig
-from hostlink.transport.base import READ_BYTES, Transport
-from hostlink.transport.tcp import RECEIVE_BUFFER_BYTES, serve_tcp
+from hostlink.core.config import Config, TcpConfig, UdpConfig
+from hostlink.core.transport.base import READ_BYTES, Transport
+from hostlink.core.transport.tcp import RECEIVE_BUFFER_BYTES, serve_tcp
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.rosbridge import client

@@ -10,13 +10,13 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.cli import serve
-from hostlink.config import Config, RobotConfig
+from hostlink.core.config import Config, RobotConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import CommandRefused
-from hostlink.hub.hub import Hub
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.frame import Id
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.participants import (
     NEIGHBOUR,

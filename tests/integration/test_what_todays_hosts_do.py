@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.config import Config
+from hostlink.core.config import Config
+from hostlink.core.hub.device import COMMAND_DEPTH
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.control import decode_parameter
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from hostlink.errors import FrameTooLarge, ServiceFailed
-from hostlink.hub.device import COMMAND_DEPTH
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.control import decode_parameter
-from hostlink.protocol.rosserial.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_parameter_request
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, service_client, service_server, topic

@@ -9,11 +9,11 @@ from typing import NamedTuple
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from hostlink.core.robot.admission import BUNCH_S, LEASE_S, SLOW_S, UNORDERED_S, Admission, Command
+from hostlink.core.robot.kinematics import PLANAR, AckermannDrive, DifferentialDrive, MecanumDrive
+from hostlink.core.robot.kinematics import Drive as RobotDrive
+from hostlink.core.robot.velocity import ZERO, Kinematics, PlanarVelocity
 from hostlink.errors import RefusalKind
-from hostlink.robot.admission import BUNCH_S, LEASE_S, SLOW_S, UNORDERED_S, Admission, Command
-from hostlink.robot.kinematics import PLANAR, AckermannDrive, DifferentialDrive, MecanumDrive
-from hostlink.robot.kinematics import Drive as RobotDrive
-from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 
 OWNERS = st.sampled_from(["ann", "bob", "eve"])
 TOPICS = st.sampled_from(["cmd_vel", "arm_vel"])

@@ -10,10 +10,10 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from hostlink.board.library import TypeSelection, select
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.fields import COUNT_BYTES, SCALAR, SIZES, VARIABLE, Field, Layout
+from hostlink.core.messages.message_type import MessageType
 from hostlink.errors import BadPayload
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.fields import COUNT_BYTES, SCALAR, SIZES, VARIABLE, Field, Layout
-from hostlink.messages.message_type import MessageType
 from tests.support import board_codec
 from tests.support.board_codec import NARROW, NOT_READ, NOT_WRITTEN, WRITTEN, Answer, Request
 from tests.support.random_messages import damaged, random_message, random_package

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from hostlink.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.endpoint import EndpointKind
 from tests.support.chaos import frames, requests
 from tests.support.chaos.names import CLASHING_NAMES
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.cli.check import FEWEST, NODE_SHARES, check, fitted
 from hostlink.cli.serve import running
-from hostlink.config import (
+from hostlink.components.gateway.listener import KEPT_FOR_REQUESTS
+from hostlink.core.config import (
     ApiConfig,
     Config,
     LinkConfig,

@@ -9,11 +9,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
+from hostlink.core.messages import validating_codec
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Field, Layout, integer_range
+from hostlink.core.messages.message_type import MessageType
 from hostlink.errors import BadPayload
-from hostlink.messages import validating_codec
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Field, Layout, integer_range
-from hostlink.messages.message_type import MessageType
 from tests.support.fake_device import message_type
 
 STORE = get_typestore(Stores.ROS1_NOETIC)

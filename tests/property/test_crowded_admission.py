@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.robot.admission import LEASE_S, MAX_SOURCES, Admission, Command
-from hostlink.robot.velocity import ZERO, PlanarVelocity
+from hostlink.core.robot.admission import LEASE_S, MAX_SOURCES, Admission, Command
+from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 
 FORWARD = PlanarVelocity(0.2)
 TICK_S = 0.05

@@ -7,9 +7,9 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.foxglove_protocol import Published, ServiceCall, decode_frame
+from hostlink.components.gateway.foxglove_protocol import Published, ServiceCall, decode_frame
+from hostlink.core.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from hostlink.errors import BadRequest
-from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.foxglove_memory import World, world
 from tests.support.virtual_loop import within
 

@@ -3,8 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.rosbridge import Fragments
-from hostlink.hub.byte_budget import Share
+from hostlink.components.gateway.rosbridge import Fragments
+from hostlink.core.hub.byte_budget import Share
 
 
 @given(st.lists(st.text(max_size=5), min_size=1, max_size=20), st.randoms())

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.guardian.frames import LEAD, stop_sequence
-from hostlink.protocol.rosserial.frame import STOP_REQUEST, SYNC, encode
+from hostlink.core.guardian.frames import LEAD, stop_sequence
+from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, SYNC, encode
 from tests.support.ros_lib_reader import RosLibReader
 
 LIMIT_S = 0.2

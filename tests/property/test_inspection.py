@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from hostlink.capture_file import Read, load_reads
 from hostlink.cli.inspect import Inspection
-from hostlink.messages.catalog import Catalog
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.runtime.capture_file import Read, load_reads
 
 CAPTURES = Path(__file__).parent.parent / "captures"
 NAMES = ["robot", "robot_serial", "services", "reconnect"]

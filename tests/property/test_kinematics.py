@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.robot.kinematics import (
+from hostlink.core.robot.kinematics import (
     SMALL_ANGLE_RAD,
     AckermannDrive,
     DifferentialDrive,
@@ -22,7 +22,7 @@ from hostlink.robot.kinematics import (
     placed,
     wrap_angle,
 )
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.core.robot.velocity import PlanarVelocity
 
 speeds = st.floats(-2, 2)
 angles = st.floats(-math.pi, math.pi, exclude_min=True)

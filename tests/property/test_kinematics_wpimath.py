@@ -17,7 +17,7 @@ from wpimath.kinematics import (
     SwerveModulePosition,
 )
 
-from hostlink.robot.kinematics import (
+from hostlink.core.robot.kinematics import (
     DifferentialDrive,
     Drive,
     MecanumDrive,
@@ -27,7 +27,7 @@ from hostlink.robot.kinematics import (
     SkidSteerDrive,
     wrap_angle,
 )
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.core.robot.velocity import PlanarVelocity
 
 COMMANDS, SEED, STEP_S, TOLERANCE = 2_000, 1, 0.1, 1e-9
 

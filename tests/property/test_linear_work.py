@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from hostlink.protocol.rosserial.frame import Frame
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.frame import Frame
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.growth import is_linear
 from tests.support.session_host import ODOMETRY, Host, wire
 

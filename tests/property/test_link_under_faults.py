@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from structlog.testing import capture_logs
 
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.strategies import fewer_examples
 from tests.support.virtual_device import NumberedRobot, pose
 from tests.support.virtual_loop import VirtualLoop

@@ -8,10 +8,10 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.frame import FIRST_TOPIC_ID, Id, encode
+from hostlink.core.protocol.rosserial.topic_table import MAX_MISSED
 from hostlink.errors import UnknownTopic
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, Id, encode
-from hostlink.protocol.rosserial.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 from tests.support.strategies import fewer_examples
 

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from structlog.testing import capture_logs
 
-from hostlink.config import Config
+from hostlink.core.config import Config
+from hostlink.core.hub.hub import Hub
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id
+from hostlink.core.robot.state import MAX_PRIORITY
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import HostlinkError
-from hostlink.hub.hub import Hub
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.frame import Id
-from hostlink.robot.state import MAX_PRIORITY
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.participants import publish

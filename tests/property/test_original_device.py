@@ -5,8 +5,8 @@ import contextlib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.original_device import DeviceCrashed, OriginalDevice
 from tests.support.strategies import damaged, frames, noise, split, wire_of
 

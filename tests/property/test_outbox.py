@@ -2,8 +2,8 @@
 
 import pytest
 
-from hostlink.protocol.outbox import RING_BYTES, Outbox
-from hostlink.protocol.rosserial.session import CONTROL_FRAMES
+from hostlink.core.protocol.outbox import RING_BYTES, Outbox
+from hostlink.core.protocol.rosserial.session import CONTROL_FRAMES
 
 
 @pytest.mark.slow

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from hostlink.capture_file import Read, load_reads
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol import events
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.protocol.rosserial.protocol import check_type
-from hostlink.protocol.rosserial.session import Session
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol import events
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.rosserial.protocol import check_type
+from hostlink.core.protocol.rosserial.session import Session
+from hostlink.core.runtime.capture_file import Read, load_reads
 
 CAPTURES = Path(__file__).parents[1] / "captures"
 CATALOG = Catalog()

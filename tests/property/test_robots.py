@@ -13,24 +13,25 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from structlog.testing import capture_logs
 
-from hostlink.config import Config, LinkConfig, RobotConfig
+from hostlink.core.config import Config, LinkConfig, RobotConfig
+from hostlink.core.hub.device import Device, endpoints_of
+from hostlink.core.hub.gates import TICK_S
+from hostlink.core.hub.hub import Hub
+from hostlink.core.link.link import Link
+from hostlink.core.link.serving import LinkEnd
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.events import Event, TopicsNegotiated
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.protocol import check_type
+from hostlink.core.protocol.rosserial.session import Session
+from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.model import find_robot
+from hostlink.core.robot.names import Presence
+from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.core.robot.velocity_gate import ZEROS
 from hostlink.errors import CommandRefused, RefusalKind
-from hostlink.hub.device import Device, check_type, endpoints_of
-from hostlink.hub.gates import TICK_S
-from hostlink.hub.hub import Hub
-from hostlink.link.link import Link
-from hostlink.link.serving import LinkEnd
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.events import Event, TopicsNegotiated
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.session import Session
-from hostlink.protocol.rosserial.stream import FrameStream
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.model import find_robot
-from hostlink.robot.names import Presence
-from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.velocity_gate import ZEROS
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
 from tests.support.memory_transport import MemoryTransport, memory_pair

@@ -7,10 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from hostlink.errors import BadPayload
-from hostlink.graphs.ros2_names import Qos
-from hostlink.graphs.ros2_types import Ros2Types
-from hostlink.graphs.zenoh.rmw_protocol import (
+from hostlink.components.graphs.ros2_names import Qos
+from hostlink.components.graphs.ros2_types import Ros2Types
+from hostlink.components.zenoh.rmw_protocol import (
     Attachment,
     EndpointToken,
     NodeToken,
@@ -18,6 +17,7 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     TokenKind,
     gid_of,
 )
+from hostlink.errors import BadPayload
 from tests.support.fake_device import CATALOG
 from tests.support.strategies import fewer_examples
 

@@ -6,7 +6,7 @@ import json
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
+from hostlink.core.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.rosbridge_memory import World, world
 from tests.support.virtual_loop import within
 

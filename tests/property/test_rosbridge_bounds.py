@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.rosbridge import MAX_TEXT
-from hostlink.hub.participant import MAX_ADVERTISED, MAX_LATCHED, MAX_SERVICES, MAX_SUBSCRIPTIONS
+from hostlink.components.gateway.rosbridge import MAX_TEXT
+from hostlink.core.hub.participant import MAX_ADVERTISED, MAX_LATCHED, MAX_SERVICES, MAX_SUBSCRIPTIONS
 from tests.support.rosbridge_memory import world
 
 

@@ -8,12 +8,12 @@ from collections.abc import Iterable
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hostlink.core.protocol import events
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
+from hostlink.core.protocol.rosserial.session import Session
 from hostlink.errors import HostlinkError
-from hostlink.protocol import events
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
-from hostlink.protocol.rosserial.session import Session
 from tests.support.strategies import damaged, frames, noise, split, topic_infos, wire_of
 
 GOOD = [

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hostlink.robot.admission import LEASE_S
+from hostlink.core.robot.admission import LEASE_S
 from tests.support.api_memory import api_memory, text_frame
 from tests.support.participants import VELOCITY_ID
 from tests.support.virtual_loop import VirtualLoop, run_virtual

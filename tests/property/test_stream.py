@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.protocol.rosserial.frame import MAX_PAYLOAD_BYTES, Frame, encode
-from hostlink.protocol.rosserial.stream import FrameStream, Skipped
+from hostlink.core.protocol.rosserial.frame import MAX_PAYLOAD_BYTES, Frame, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream, Skipped
 from tests.support.strategies import damaged, fewer_examples, frames, noise, split, topic_ids, wire_of
 
 LIMIT_BYTES = 1024

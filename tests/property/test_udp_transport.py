@@ -11,8 +11,8 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.transport.base import READ_BYTES
-from hostlink.transport.udp import MAX_DATAGRAM_BYTES, Datagram, UdpTransport
+from hostlink.core.transport.base import READ_BYTES
+from hostlink.core.transport.udp import MAX_DATAGRAM_BYTES, Datagram, UdpTransport
 
 FIRST = b"greeting"
 STEPS = st.one_of(

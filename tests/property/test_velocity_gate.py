@@ -8,16 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from hostlink.errors import CommandRefused
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.kinematics import MecanumDrive, PlanarDrive
-from hostlink.robot.velocity import ZERO, PlanarVelocity
-from hostlink.robot.velocity_gate import (
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.kinematics import MecanumDrive, PlanarDrive
+from hostlink.core.robot.velocity import ZERO, PlanarVelocity
+from hostlink.core.robot.velocity_gate import (
     LOCKED_ZERO_INTERVAL_S,
     LONGEST_STEP_S,
     ZEROS,
     Limits,
 )
+from hostlink.errors import CommandRefused
 from tests.support.gates import GateOfRobot
 
 SLACK = 1 + 1e-9  # of a scaled double

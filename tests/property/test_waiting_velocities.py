@@ -12,11 +12,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hostlink.api.clients import Operation, OperationQueue, VelocityOf
-from hostlink.hub.byte_budget import ByteBudget
-from hostlink.robot.admission import UNORDERED_S, Admission, Command
-from hostlink.robot.kinematics import DifferentialDrive
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.components.gateway.clients import Operation, OperationQueue, VelocityOf
+from hostlink.core.hub.byte_budget import ByteBudget
+from hostlink.core.robot.admission import UNORDERED_S, Admission, Command
+from hostlink.core.robot.kinematics import DifferentialDrive
+from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.api_memory import ApiMemory, ApiPeer, api_memory
 from tests.support.participants import VELOCITY_ID
 from tests.support.virtual_loop import run_virtual

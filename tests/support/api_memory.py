@@ -11,12 +11,12 @@ from typing import Any
 
 from aiohttp import web
 
-from hostlink.api.listener import MakeProtocol, PacedReading
-from hostlink.api.server import ApiServer, protocols_of
-from hostlink.config import BlackBoxConfig, Config, RecordingConfig
-from hostlink.hub.hub import Hub
-from hostlink.hub.reloader import Reloader
-from hostlink.recording.recordings import Recordings
+from hostlink.components.gateway.listener import MakeProtocol, PacedReading
+from hostlink.components.gateway.server import ApiServer, protocols_of
+from hostlink.components.recorder.recordings import Recordings
+from hostlink.core.config import BlackBoxConfig, Config, RecordingConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.reloader import Reloader
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT

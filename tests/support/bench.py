@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.api.rosapi import RosApi
-from hostlink.config import Config
+from hostlink.components.gateway.rosapi import RosApi
+from hostlink.core.config import Config
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.protocol.endpoint import DeviceEndpoint
 from hostlink.errors import HostlinkError
-from hostlink.hub.hub import Hub
-from hostlink.hub.robot import LocalRobot
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.sim.firmware_world import RobotKind
+from hostlink.workbench.sim.firmware_world import RobotKind
 from tests.support.fake_device import CATALOG
 from tests.support.memory_client import MemoryHost, memory_host
 from tests.support.ros_lib_device import running_hub

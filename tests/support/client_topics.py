@@ -6,7 +6,7 @@ from typing import Any
 
 from hostlink import client
 from hostlink.client import Refused
-from hostlink.robot.admission import LEASE_S
+from hostlink.core.robot.admission import LEASE_S
 from tests.support.waiting import TIMEOUT_S
 
 

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from hostlink.config import JoyConfig, RobotConfig, ThrottleConfig, VectorConfig, WheelsConfig, WordsConfig
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.config import JoyConfig, RobotConfig, ThrottleConfig, VectorConfig, WheelsConfig, WordsConfig
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from tests.support.fake_device import message_type, topic
 from tests.support.participants import ROBOT
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.protocol import session
+from hostlink.core.protocol import session
 
 IS_COMPILED = not str(session.__file__).endswith(".py")  # the modules of a compiled wheel (`make compiled`)
 

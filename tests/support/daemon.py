@@ -2,7 +2,7 @@
 
 The test and its devices stand still with this daemon on a busy machine, and what they send is not late by that. So the
 daemon takes no velocity for a late one, and no pause interrupts its robots.
-tests/unit/hub/test_stall_watch.py, test_gates.py, tests/integration/test_admission_contract.py (every entry point) and
+tests/unit/core/hub/test_stall_watch.py, test_gates.py, tests/integration/test_admission_contract.py (every way in) and
 tests/system/test_daemon_stalls.py (a process) test lateness and pauses.
 """
 
@@ -16,11 +16,11 @@ import aiohttp
 import msgspec
 
 from hostlink.cli.serve import running
-from hostlink.config import BlackBoxConfig, Config, LinkConfig
-from hostlink.host_pauses import HostPauses
-from hostlink.hub.hub import Hub
-from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.hub.stall_watch import StallWatch
+from hostlink.core.config import BlackBoxConfig, Config, LinkConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.hub.stall_watch import StallWatch
+from hostlink.core.runtime.host_pauses import HostPauses
 from tests.support.driving import put_velocity
 
 PATIENT = LinkConfig(silence_timeout_s=None, idle_timeout_s=None)

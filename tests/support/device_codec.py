@@ -2,7 +2,7 @@
 
 import struct
 
-from hostlink.protocol.rosserial.control import Log
+from hostlink.core.protocol.rosserial.control import Log
 
 _NS_PER_S = 1_000_000_000
 

@@ -1,9 +1,9 @@
 """Reports of a device about itself: its battery, its WiFi, its firmware, its faults."""
 
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.control import Log
-from hostlink.protocol.rosserial.frame import Id, encode
-from hostlink.robot.state import BATTERY_TYPE
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.control import Log
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.robot.state import BATTERY_TYPE
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import CATALOG, topic
 

@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 import aiohttp
 
 from hostlink.client import Robot
+from hostlink.core.hub.hub import Hub
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
-from hostlink.hub.hub import Hub
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.background import meanwhile
 
 Value = TypeVar("Value")

@@ -17,25 +17,25 @@ from typing import Any, ClassVar, cast
 
 from aiohttp.test_utils import make_mocked_request
 
-from hostlink.api.access import GRANT, Grant
-from hostlink.api.clients import ClientQueue
-from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
-from hostlink.api.rest import Owners, Rest
-from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.api.routes import BODY, CAME
 from hostlink.cli import demo, play
 from hostlink.cli.driving import GRACE_S, Driving, Key
 from hostlink.cli.teleop import KeyDriver, WatchedRobot
 from hostlink.client import RobotState
-from hostlink.config import Config, ZenohConfig
-from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
-from hostlink.graphs.ros2.plan import TWIST, VelocityInput
-from hostlink.graphs.ros2.velocity import VelocityDriver
-from hostlink.graphs.ros2_names import Qos
-from hostlink.graphs.ros2_types import Ros2Types
-from hostlink.graphs.zenoh.fleet import fleet_running
-from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
-from hostlink.graphs.zenoh.rmw_protocol import (
+from hostlink.components.gateway.access import GRANT, Grant
+from hostlink.components.gateway.clients import ClientQueue
+from hostlink.components.gateway.foxglove import FoxgloveClient, FoxgloveDirectory
+from hostlink.components.gateway.rest import Owners, Rest
+from hostlink.components.gateway.rosbridge import RosbridgeClient
+from hostlink.components.gateway.routes import BODY, CAME
+from hostlink.components.graphs.ros2_names import Qos
+from hostlink.components.graphs.ros2_types import Ros2Types
+from hostlink.components.recorder.channel import VELOCITY, ros_channel
+from hostlink.components.recorder.mcap_writer import McapWriter
+from hostlink.components.ros2.plan import TWIST, VelocityInput
+from hostlink.components.ros2.velocity import VelocityDriver
+from hostlink.components.zenoh.fleet import fleet_running
+from hostlink.components.zenoh.rmw_bridge import Publishers, RmwNode
+from hostlink.components.zenoh.rmw_protocol import (
     Attachment,
     EndpointToken,
     NodeToken,
@@ -43,16 +43,16 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     TokenKind,
     gid_of,
 )
-from hostlink.graphs.zenoh.session import ZenohSession
-from hostlink.hub.hub import Hub
-from hostlink.hub.node import Role
-from hostlink.hub.robot_topic_publisher import twist_topic
-from hostlink.mirror.log_once import LogOnce
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
-from hostlink.recording.channel import VELOCITY, ros_channel
-from hostlink.recording.mcap_writer import McapWriter
-from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity, Twist
+from hostlink.components.zenoh.session import ZenohSession
+from hostlink.core.config import Config, ZenohConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.node import Role
+from hostlink.core.hub.robot_topic_publisher import twist_topic
+from hostlink.core.mirror.log_once import LogOnce
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity, Twist
+from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from tests.support.fake_device import CATALOG, topic
 from tests.support.foreign_drivers import PRIORITY, FleetDriver, Ros1Driver
 from tests.support.memory_client import MemoryHost, memory_host

@@ -6,12 +6,12 @@ import socket
 import struct
 from collections.abc import AsyncIterator, Iterable
 
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.message_type import MessageType, ServiceType
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.message_type import MessageType, ServiceType
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.background import meanwhile
 from tests.support.waiting import TIMEOUT_S
 

@@ -8,13 +8,11 @@ import itertools
 from collections import Counter
 from typing import cast
 
-from hostlink.config import Ros1Config
-from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
-from hostlink.graphs.ros1.local_node import LocalNode
-from hostlink.graphs.ros1.tcpros import encode_header, encode_message
-from hostlink.graphs.ros1.topics import _PublisherConnection
-from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
-from hostlink.graphs.zenoh.fleet_messages import (
+from hostlink.components.ros1.local_node import LocalNode
+from hostlink.components.ros1.tcpros import encode_header, encode_message
+from hostlink.components.ros1.topics import _PublisherConnection
+from hostlink.components.zenoh.fleet_commands import FleetDrivers
+from hostlink.components.zenoh.fleet_messages import (
     ANSWER,
     FleetCommand,
     FleetTransport,
@@ -23,15 +21,17 @@ from hostlink.graphs.zenoh.fleet_messages import (
     State,
     encode,
 )
-from hostlink.graphs.zenoh.roster import FleetRoster
-from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
-from hostlink.hub.hub import Hub
-from hostlink.hub.node import Role
-from hostlink.hub.participant import Participant
-from hostlink.hub.robot_topic_publisher import twist_topic
-from hostlink.log_budget import Budget
-from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
-from hostlink.transport.base import READ_BYTES
+from hostlink.components.zenoh.roster import FleetRoster
+from hostlink.components.zenoh.session import ZenohSample, ZenohSession
+from hostlink.core.config import Ros1Config
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.node import Role
+from hostlink.core.hub.participant import Participant
+from hostlink.core.hub.robot_topic_publisher import twist_topic
+from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.core.runtime.log_budget import Budget
+from hostlink.core.transport.base import READ_BYTES
+from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, Scene

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hostlink.recording.channel import as_text
+from hostlink.components.recorder.channel import as_text
 
 COUNT = 300
 BEGIN_NS, STEP_NS = 1_700_000_000_000_000_000, 10_000_000

@@ -5,7 +5,7 @@ import rclpy.executors
 
 from hostlink.cli import ros2
 from hostlink.cli.main import main
-from hostlink.graphs.ros2 import bridge, node
+from hostlink.components.ros2 import bridge, node
 
 IMPORTED = (rclpy, ros2, bridge, node)
 __all__ = ["main"]

@@ -12,8 +12,8 @@ import traceback
 from typing import NoReturn
 
 from hostlink.cli import main as command_line
-from hostlink.messages.catalog import Catalog
-from hostlink.sim import firmware_module
+from hostlink.core.messages.catalog import Catalog
+from hostlink.workbench.sim import firmware_module
 
 
 def main() -> NoReturn:

@@ -8,11 +8,11 @@ import struct
 from collections.abc import AsyncIterator
 from typing import Any
 
-from hostlink.api.clients import ClientQueue
-from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
-from hostlink.config import Config
-from hostlink.hub.hub import Hub
-from hostlink.hub.node import Role
+from hostlink.components.gateway.clients import ClientQueue
+from hostlink.components.gateway.foxglove import FoxgloveClient, FoxgloveDirectory
+from hostlink.core.config import Config
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.node import Role
 from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG
 

@@ -7,15 +7,15 @@ import contextlib
 import math
 from collections.abc import Callable
 
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.events import TopicsRequested
+from hostlink.core.protocol.rosserial import control
+from hostlink.core.protocol.rosserial.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode
+from hostlink.core.protocol.rosserial.negotiation import REQUEST_INTERVAL_S
+from hostlink.core.protocol.rosserial.session import Session
+from hostlink.core.protocol.rosserial.stream import FrameStream, Skipped
 from hostlink.errors import BadPayload, HostlinkError
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol import control
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.events import TopicsRequested
-from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode
-from hostlink.protocol.rosserial.negotiation import REQUEST_INTERVAL_S
-from hostlink.protocol.rosserial.session import Session
-from hostlink.protocol.rosserial.stream import FrameStream, Skipped
 from tests.support.device_codec import encode_log, encode_parameter_request
 
 LIMIT_BYTES = 1024

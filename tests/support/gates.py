@@ -4,10 +4,10 @@ import asyncio
 import dataclasses
 from collections.abc import Hashable
 
-from hostlink.hub.robot import AnyRobot
-from hostlink.robot.admission import LEASE_S, Admission, Command
-from hostlink.robot.velocity import ZERO, PlanarVelocity
-from hostlink.robot.velocity_gate import Limits, V, VelocityGate
+from hostlink.core.hub.robot import AnyRobot
+from hostlink.core.robot.admission import LEASE_S, Admission, Command
+from hostlink.core.robot.velocity import ZERO, PlanarVelocity
+from hostlink.core.robot.velocity_gate import Limits, V, VelocityGate
 
 FREE = Limits(max_linear_m_s=None, max_angular_rad_s=None)
 GENTLE = Limits(max_linear_acceleration_m_s2=1.0, max_angular_acceleration_rad_s2=10.0)

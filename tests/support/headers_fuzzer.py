@@ -6,8 +6,8 @@ from pathlib import Path
 from random import Random
 
 from hostlink.board.library import select
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.message_type import MessageType
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.message_type import MessageType
 from tests.support.board_codec import FIRMWARE, SOURCES, write_headers
 from tests.support.compilers import CORE, run
 from tests.support.random_messages import random_message

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import aiohttp
 
-from hostlink.robot.admission import LEASE_S
+from hostlink.core.robot.admission import LEASE_S
 from tests.support.background import meanwhile
 from tests.support.process import Process, serve
 from tests.support.stopwatch import Stopwatch

@@ -8,11 +8,11 @@ import select
 import socket
 import time
 
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.control import Log
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
-from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.control import Log
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.api_loads import encode_time
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import announcement, topic

@@ -11,9 +11,6 @@ from weakref import WeakSet
 
 import cbor2
 
-from hostlink.api.clients import ClientQueue
-from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.api.views import odometry_view
 from hostlink.client import Event, Host
 from hostlink.client.callers import Callers, own_context
 from hostlink.client.connection import HostConnection
@@ -21,11 +18,14 @@ from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import HttpClient, encode, measured
 from hostlink.client.services import ProvidedServices
 from hostlink.client.topics import Topics
+from hostlink.components.gateway.clients import ClientQueue
+from hostlink.components.gateway.rosbridge import RosbridgeClient
+from hostlink.components.gateway.views import odometry_view
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.node import Role
+from hostlink.core.hub.participant import Participant
+from hostlink.core.robot.standstill import Standstill
 from hostlink.errors import HostlinkError, Refused
-from hostlink.hub.hub import Hub
-from hostlink.hub.node import Role
-from hostlink.hub.participant import Participant
-from hostlink.robot.standstill import Standstill
 from tests.support.rest_memory import RestCalls
 
 _numbers = itertools.count(1)

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from structlog.testing import capture_logs
 from structlog.typing import EventDict
 
-from hostlink.config import Config
-from hostlink.hub.gates import Guard
-from hostlink.hub.hub import Hub
-from hostlink.hub.robot import LocalRobot
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.config import Config
+from hostlink.core.hub.gates import Guard
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice

@@ -11,7 +11,7 @@ A writer stalls when its peer does not read: with `room_bytes=0` at once.
 import asyncio
 from collections.abc import Callable
 
-from hostlink.transport.base import READ_BYTES
+from hostlink.core.transport.base import READ_BYTES
 
 ROOM_BYTES = 16384
 

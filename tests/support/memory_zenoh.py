@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
-from hostlink.graphs.zenoh.session import Declaration, Query, Token, ZenohSample
-from hostlink.mirror.inbox import MAX_WAITING, ThreadInbox
+from hostlink.components.zenoh.session import Declaration, Query, Token, ZenohSample
+from hostlink.core.mirror.inbox import MAX_WAITING, ThreadInbox
 
 
 class MemoryNetwork:

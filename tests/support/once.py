@@ -11,7 +11,7 @@ from tests.support import compilers
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build"
-SOURCES = ("firmware", "hostlink/board", "hostlink/messages", "tests/firmware", "tests/support/compilers.py")
+SOURCES = ("firmware", "hostlink/board", "hostlink/core/messages", "tests/firmware", "tests/support/compilers.py")
 COMPILERS = ("cmake", "g++", "clang++", "arm-none-eabi-g++", "avr-g++")
 
 

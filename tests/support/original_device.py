@@ -9,10 +9,10 @@ import math
 from collections.abc import Callable
 from enum import Enum, auto
 
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.events import Parameter
-from hostlink.protocol.rosserial.control import Log, decode_parameter, encode_topic_info
-from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Id, encode
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.rosserial.control import Log, decode_parameter, encode_topic_info
+from hostlink.core.protocol.rosserial.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Id, encode
 from tests.support.device_codec import decode_time, encode_log, encode_parameter_request
 from tests.support.uart import Uart
 

@@ -15,14 +15,14 @@ from typing import Any
 import msgspec
 from aiohttp import WSMsgType, web
 
-from hostlink.api.events import ROLE_HEADER
-from hostlink.api.history import IncidentView
-from hostlink.api.rest import DaemonDiagnosisView, DriveView, ListeningView
-from hostlink.api.views import LinkView, RobotView, StoppedRobotView
-from hostlink.robot.views import CommandEndpointView
+from hostlink.components.gateway.events import ROLE_HEADER
+from hostlink.components.gateway.history import IncidentView
+from hostlink.components.gateway.rest import DaemonDiagnosisView, DriveView, ListeningView
+from hostlink.components.gateway.views import LinkView, RobotView, StoppedRobotView
+from hostlink.core.robot.views import CommandEndpointView
 from tests.support.tcp_server import http_server
 
-BUILT = Path(__file__).parents[2] / "hostlink" / "api" / "web" / "built"
+BUILT = Path(__file__).parents[2] / "hostlink" / "components" / "gateway" / "web" / "built"
 BEAT_S = 0.1
 OF_ALL = ("/api/stop", "/api/lock")
 

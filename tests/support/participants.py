@@ -12,22 +12,22 @@ from weakref import WeakKeyDictionary
 
 from structlog.testing import capture_logs
 
-from hostlink.api.clients import ClientQueue, Outgoing
-from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
-from hostlink.api.rest import Owners
-from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.config import Config
+from hostlink.components.gateway.clients import ClientQueue, Outgoing
+from hostlink.components.gateway.foxglove import FoxgloveClient, FoxgloveDirectory
+from hostlink.components.gateway.rest import Owners
+from hostlink.components.gateway.rosbridge import RosbridgeClient
+from hostlink.core.config import Config
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
+from hostlink.core.hub.node import Role
+from hostlink.core.hub.participant import Participant
+from hostlink.core.hub.queue import Queue
+from hostlink.core.hub.robots import Robots
+from hostlink.core.hub.subscription import Subscription
+from hostlink.core.messages.message_type import ServiceType
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError, NoRole, RefusalKind, Refused
-from hostlink.hub.hub import Hub
-from hostlink.hub.message import PROGRAM_PRIORITY, Message
-from hostlink.hub.node import Role
-from hostlink.hub.participant import Participant
-from hostlink.hub.queue import Queue
-from hostlink.hub.robots import Robots
-from hostlink.hub.subscription import Subscription
-from hostlink.messages.message_type import ServiceType
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.memory_hub import running
 from tests.support.scripted_device import ScriptedDevice

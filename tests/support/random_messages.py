@@ -3,7 +3,7 @@
 import struct
 from random import Random
 
-from hostlink.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Field, Layout, integer_range
+from hostlink.core.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Field, Layout, integer_range
 
 ELEMENTS_MAX = 3
 TEXTS = ("", "a", "left_wheel", "µ-Ω", "x" * 40, "a\tb\n", "\u20ac\U0001f916")

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hostlink.cli import play
-from hostlink.recording.channel import DEVICE, VELOCITY, Channel, ros_channel
-from hostlink.recording.mcap_writer import McapWriter
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.components.recorder.channel import DEVICE, VELOCITY, Channel, ros_channel
+from hostlink.components.recorder.mcap_writer import McapWriter
+from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
 
 FORWARD = PlanarVelocity(x_m_s=0.2)

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from hostlink.hub.hub import Hub
-from hostlink.hub.robot import RemoteRobot
-from hostlink.robot.state import RobotState
-from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.robot import RemoteRobot
+from hostlink.core.robot.state import RobotState
+from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
 
 
 class RecordingHosts:

@@ -83,7 +83,8 @@ REQUIREMENTS = (
     _pip(
         "matplotlib",
         "tests/unit/cli/test_new_file.py::test_plot_export*", "tests/unit/cli/test_step.py::test_a_picture*",
-        "tests/unit/cli/test_lab.py::test_a_picture_that*", "tests/unit/recording/test_export.py::test_pictures*",
+        "tests/unit/cli/test_lab.py::test_a_picture_that*",
+        "tests/unit/components/recorder/test_export.py::test_pictures*",
     ),
 )  # fmt: skip
 

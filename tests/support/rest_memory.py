@@ -9,15 +9,15 @@ from typing import Any
 from aiohttp import web
 from aiohttp.test_utils import make_mocked_request
 
-from hostlink.api.access import GRANT, Grant
-from hostlink.api.clients import Clients
-from hostlink.api.rest import Owners, Rest
-from hostlink.api.routes import BODY, CAME, Route, explain_errors
-from hostlink.config import Config
-from hostlink.hub.hub import Hub
-from hostlink.hub.node import Role
-from hostlink.hub.reloader import Read, Reloader
-from hostlink.protocol.endpoint import DeviceEndpoint
+from hostlink.components.gateway.access import GRANT, Grant
+from hostlink.components.gateway.clients import Clients
+from hostlink.components.gateway.rest import Owners, Rest
+from hostlink.components.gateway.routes import BODY, CAME, Route, explain_errors
+from hostlink.core.config import Config
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.node import Role
+from hostlink.core.hub.reloader import Read, Reloader
+from hostlink.core.protocol.endpoint import DeviceEndpoint
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT

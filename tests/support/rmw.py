@@ -18,9 +18,9 @@ import xxhash
 import zenoh
 import zenoh.ext
 
-from hostlink.config import Config, LinkConfig, ZenohConfig
-from hostlink.graphs.zenoh.rmw_bridge import RmwBridge, ros2_bridged
-from hostlink.graphs.zenoh.session import ZenohSession, opened
+from hostlink.components.zenoh.rmw_bridge import RmwBridge, ros2_bridged
+from hostlink.components.zenoh.session import ZenohSession, opened
+from hostlink.core.config import Config, LinkConfig, ZenohConfig
 from tests.support.daemon import Daemon, daemon
 from tests.support.fork_server import Child, Program, shared, start
 from tests.support.process import free_port

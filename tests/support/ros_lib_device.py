@@ -11,18 +11,18 @@ import struct
 from collections.abc import AsyncIterator
 from typing import Any
 
-from hostlink.hub.hub import Hub
-from hostlink.link.link import Link
-from hostlink.link.serving import LinkEnd
-from hostlink.messages.fields import FORMATS, VARIABLE, Layout
-from hostlink.messages.message_type import MessageType
-from hostlink.messages.parsing import parse_service
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.protocol import ROSSERIAL
-from hostlink.protocol.rosserial.session import DEFAULT_BUFFER_BYTES
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.hub.hub import Hub
+from hostlink.core.link.link import Link
+from hostlink.core.link.serving import LinkEnd
+from hostlink.core.messages.fields import FORMATS, VARIABLE, Layout
+from hostlink.core.messages.message_type import MessageType
+from hostlink.core.messages.parsing import parse_service
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.core.protocol.rosserial.session import DEFAULT_BUFFER_BYTES
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.original_device import DeviceCrashed
 

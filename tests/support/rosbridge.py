@@ -9,7 +9,7 @@ from typing import Any
 import aiohttp
 import cbor2
 
-from hostlink.robot.admission import LEASE_S
+from hostlink.core.robot.admission import LEASE_S
 from tests.support.daemon import Daemon
 from tests.support.fake_device import FakeDevice
 from tests.support.waiting import TIMEOUT_S

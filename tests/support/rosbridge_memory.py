@@ -9,11 +9,11 @@ from typing import Any
 
 import cbor2
 
-from hostlink.api.clients import ClientQueue
-from hostlink.api.rosapi import RosApi
-from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.config import Config
-from hostlink.hub.hub import Hub
+from hostlink.components.gateway.clients import ClientQueue
+from hostlink.components.gateway.rosapi import RosApi
+from hostlink.components.gateway.rosbridge import RosbridgeClient
+from hostlink.core.config import Config
+from hostlink.core.hub.hub import Hub
 from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG
 

@@ -4,13 +4,13 @@ import asyncio
 import contextlib
 from collections.abc import Sequence
 
-from hostlink.hub.hub import Hub
-from hostlink.link.link import Link
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.protocol import ROSSERIAL
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.hub.hub import Hub
+from hostlink.core.link.link import Link
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.memory_transport import memory_pair
 
 

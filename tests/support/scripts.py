@@ -7,7 +7,7 @@ from asyncio.subprocess import PIPE, Process
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 
-from hostlink.sim.robot import SimulatedRobot
+from hostlink.workbench.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect, is_true_within

@@ -1,12 +1,12 @@
 """A host's session and its clock, with a device that a test plays."""
 
+from hostlink.core.protocol import events
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.session import Session
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from hostlink.errors import WrongType
-from hostlink.protocol import events
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.session import Session
-from hostlink.protocol.rosserial.stream import FrameStream
 
 SIZES = {"std_msgs/Bool": 1, "geometry_msgs/Pose2D": 24}
 TIME = encode(Id.TIME, bytes(8))

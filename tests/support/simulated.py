@@ -5,12 +5,12 @@ import contextlib
 from collections.abc import AsyncIterator
 from typing import cast
 
-from hostlink.hub.hub import Hub
-from hostlink.protocol.rosserial.frame import Frame, encode
-from hostlink.protocol.rosserial.protocol import ROSSERIAL
-from hostlink.sim.firmware_world import RobotKind
-from hostlink.sim.robot import Fault, SimulatedRobot
-from hostlink.sim.run import run_over_streams, run_over_tcp
+from hostlink.core.hub.hub import Hub
+from hostlink.core.protocol.rosserial.frame import Frame, encode
+from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.workbench.sim.firmware_world import RobotKind
+from hostlink.workbench.sim.robot import Fault, SimulatedRobot
+from hostlink.workbench.sim.run import run_over_streams, run_over_tcp
 from tests.support.memory_transport import MemoryTransport, memory_pair
 
 PLOT_ID = 126

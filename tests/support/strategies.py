@@ -6,8 +6,8 @@ from typing import Any
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
 
 payloads = st.binary(max_size=60)
 topic_ids = st.integers(0, 0xFFFF)

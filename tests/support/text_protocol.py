@@ -17,12 +17,12 @@ import re
 import struct
 from collections.abc import Iterable
 
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol import events
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
+from hostlink.core.protocol.session import DeviceProtocol, DeviceSession
 from hostlink.errors import UnknownTopic, WrongType
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol import events
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
-from hostlink.protocol.session import DeviceProtocol, DeviceSession
 
 HELLO = b"HELLO?\n"
 LONGEST_LINE_BYTES = 256

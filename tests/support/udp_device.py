@@ -5,9 +5,9 @@ import contextlib
 import socket
 from collections.abc import AsyncIterator
 
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.fake_device import FakeDevice
 from tests.support.waiting import TIMEOUT_S
 

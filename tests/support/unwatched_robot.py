@@ -14,9 +14,9 @@ from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.support.background import meanwhile
 from tests.support.fake_device import robot_topics, topic
 from tests.support.pty_pair import pty_pair

@@ -5,10 +5,10 @@ import struct
 from collections.abc import Awaitable, Callable
 from typing import Protocol
 
-from hostlink.cancellation import raise_if_cancelled
-from hostlink.messages.catalog import Catalog
-from hostlink.sim.robot import SimulatedRobot
-from hostlink.transport.base import Transport
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.runtime.cancellation import raise_if_cancelled
+from hostlink.core.transport.base import Transport
+from hostlink.workbench.sim.robot import SimulatedRobot
 from tests.support.original_device import DeviceCrashed, OriginalDevice
 from tests.support.uart import Uart
 

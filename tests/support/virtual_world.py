@@ -6,14 +6,14 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from hostlink.config import Config, LinkConfig
+from hostlink.core.config import Config, LinkConfig
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.message import Message
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.core.protocol.rosserial.session import Session
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import HostlinkError
-from hostlink.hub.hub import Hub
-from hostlink.hub.message import Message
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.rosserial.protocol import ROSSERIAL
-from hostlink.protocol.rosserial.session import Session
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.gates import drive_gate
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import subscribe

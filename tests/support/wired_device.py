@@ -9,17 +9,17 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from hostlink.hub.hub import Hub
-from hostlink.link.link import Link
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.protocol.rosserial.control import Log
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.protocol import ROSSERIAL
-from hostlink.protocol.rosserial.stream import FrameStream
-from hostlink.transport.base import READ_BYTES, Transport
-from hostlink.transport.connection import StreamTransport
-from hostlink.transport.serial import TTY_BYTES, SerialTransport
-from hostlink.transport.udp import DATAGRAMS_A_TURN, Datagram, UdpTransport
+from hostlink.core.hub.hub import Hub
+from hostlink.core.link.link import Link
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.rosserial.control import Log
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.core.transport.base import READ_BYTES, Transport
+from hostlink.core.transport.connection import StreamTransport
+from hostlink.core.transport.serial import TTY_BYTES, SerialTransport
+from hostlink.core.transport.udp import DATAGRAMS_A_TURN, Datagram, UdpTransport
 from tests.support.api_memory import ApiTransport
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import announcement

@@ -6,8 +6,8 @@ from collections.abc import AsyncIterator
 from dataclasses import replace
 from typing import Any
 
-from hostlink.config import Config, ZenohConfig
-from hostlink.hub.robot import RemoteRobot
+from hostlink.core.config import Config, ZenohConfig
+from hostlink.core.hub.robot import RemoteRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import answered
 from tests.support.process import free_port

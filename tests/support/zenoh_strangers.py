@@ -16,7 +16,7 @@ from typing import Any
 
 import zenoh
 
-from hostlink.config import Config, ZenohConfig
+from hostlink.core.config import Config, ZenohConfig
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics
 from tests.support.waiting import expect

@@ -12,10 +12,10 @@ from typing import Any
 import aiohttp
 import pytest
 
-from hostlink import remains
-from hostlink.recording.black_box import MAX_REQUESTED
-from hostlink.recording.channel import EVENTS, json_of
-from hostlink.recording.reader import McapReader
+from hostlink.components.recorder.black_box import MAX_REQUESTED
+from hostlink.components.recorder.channel import EVENTS, json_of
+from hostlink.components.recorder.reader import McapReader
+from hostlink.core.runtime import remains
 from tests.support.fake_device import fake_device, pose, repeating, robot_topics
 from tests.support.process import Process, run, serve
 from tests.support.rosbridge import Client

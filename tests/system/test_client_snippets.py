@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.sim.firmware_world import RobotKind
+from hostlink.workbench.sim.firmware_world import RobotKind
 from tests.support.daemon import daemon
 from tests.support.fork_server import Program, shared, start
 from tests.support.proxy import proxy

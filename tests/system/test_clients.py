@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from hostlink.config import ApiConfig, Config, RecordingConfig
-from hostlink.robot.velocity import PlanarVelocity, Twist
+from hostlink.core.config import ApiConfig, Config, RecordingConfig
+from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from tests.support.daemon import daemon
 from tests.support.proxy import Line, address_of, proxy
 from tests.support.simulated import simulated_robot

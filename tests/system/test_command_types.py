@@ -18,10 +18,10 @@ from typing import Any
 import aiohttp
 import pytest
 
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import Id, encode
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity_gate import ZEROS
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.velocity_gate import ZEROS
 from tests.support.background import meanwhile
 from tests.support.command_boards import BOARDS, Board
 from tests.support.participants import ROBOT

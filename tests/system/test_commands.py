@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, service_server, topic
 from tests.support.process import HOSTLINK, run, serve, simulated

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from hostlink.client import connect
-from hostlink.config import Config
-from hostlink.robot.admission import LEASE_S
+from hostlink.core.config import Config
+from hostlink.core.robot.admission import LEASE_S
 from tests.support.driving import hold
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import HOSTLINK, Process, run, serve

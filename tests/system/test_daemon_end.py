@@ -11,7 +11,7 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from hostlink.protocol.rosserial.frame import Id
+from hostlink.core.protocol.rosserial.frame import Id
 from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics
 from tests.support.process import HOSTLINK, Process, free_port, serve

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import pytest_asyncio
 
-from hostlink.sim.robot import FAULTS, HEALTHY, Fault, SimulatedRobot
-from hostlink.sim.run import run_over_tcp
+from hostlink.workbench.sim.robot import FAULTS, HEALTHY, Fault, SimulatedRobot
+from hostlink.workbench.sim.run import run_over_tcp
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import run
 

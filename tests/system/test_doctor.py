@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.sim.robot import FAULTS, HEALTHY, Fault, SimulatedRobot
-from hostlink.sim.run import run_over_streams
+from hostlink.workbench.sim.robot import FAULTS, HEALTHY, Fault, SimulatedRobot
+from hostlink.workbench.sim.run import run_over_streams
 from tests.support.background import meanwhile
 from tests.support.fork_server import start
 from tests.support.process import Process, free_port, run, serve, simulated

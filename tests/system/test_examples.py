@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.sim.robot import SimulatedRobot
+from hostlink.workbench.sim.robot import SimulatedRobot
 from tests.support.process import serve
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect

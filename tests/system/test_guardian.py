@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.robot.admission import LEASE_S
+from hostlink.core.robot.admission import LEASE_S
 from tests.support.background import meanwhile
 from tests.support.killing import LIMIT_S, Drive, driving, end_at, guarded_by, guardians_of, killer
 from tests.support.process import HOSTLINK, Process, is_running

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.messages.catalog import Catalog
-from hostlink.recording.channel import DEVICE, NS_PER_S, VELOCITY, ros_channel
-from hostlink.recording.mcap_writer import McapWriter
-from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.components.recorder.channel import DEVICE, NS_PER_S, VELOCITY, ros_channel
+from hostlink.components.recorder.mcap_writer import McapWriter
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.process import serve, simulated
 
 MEGABYTE = 1_000_000
@@ -88,7 +88,7 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
 }
 
 
-#: All commands read by recording/reader.py: one runs without the tests marked long, without an index.
+#: All commands read by components/recorder/reader.py: one runs without the tests marked long, without an index.
 RUNS = [("unfinished", "csv")]
 MORE_RUNS = [
     *(("finished", command) for command in COMMANDS),
@@ -150,7 +150,7 @@ def test_reader_of_a_rare_topic_reads_a_small_part_of_the_file(tmp_path: Path) -
         writer.end_chunk()
     writer.close()
     program = (
-        "import sys; from pathlib import Path; from hostlink.recording.reader import McapReader; "
+        "import sys; from pathlib import Path; from hostlink.components.recorder.reader import McapReader; "
         "found = list(McapReader(Path(sys.argv[1])).messages(lambda channel: channel.topic == sys.argv[2])); "
         "print(len(found), next(line for line in open('/proc/self/io') if line.startswith('rchar')).split()[1])"
     )

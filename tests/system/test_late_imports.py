@@ -31,8 +31,10 @@ async def test_daemon_without_a_graph_imports_nothing_of_one(tmp_path: Path) -> 
     async with serve(log=log, program=TRACED) as daemon, fake_device(daemon.tcp, robot_topics()):
         assert await daemon.end(signal.SIGTERM) == 0
     lines = log.read_text().splitlines()
-    assert any("hostlink.hub.hub" in line for line in lines)
-    assert [line for line in lines if any(name in line for name in ("hostlink.graphs", "xmlrpc", "zenoh"))] == []
+    assert any("hostlink.core.hub.hub" in line for line in lines)
+    assert [
+        line for line in lines if any(name in line for name in ("hostlink.components.graphs", "xmlrpc", "zenoh"))
+    ] == []
 
 
 async def use(daemon: Process) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.log_budget import BURST_LINES, RATE_HZ
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.runtime.log_budget import BURST_LINES, RATE_HZ
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import serve
 from tools.crowd import parameters, topic_infos

@@ -9,13 +9,13 @@ import pytest
 import pytest_asyncio
 from playwright.async_api import Browser, Page
 
-from hostlink.config import Config, RobotConfig
+from hostlink.core.config import Config, RobotConfig
+from hostlink.core.protocol.rosserial.control import Log
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.kinematics import Pose
 from hostlink.errors import RefusalKind
-from hostlink.protocol.rosserial.control import Log
-from hostlink.protocol.rosserial.frame import Id, encode
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.kinematics import Pose
-from hostlink.sim.firmware_module import WorldParameters
+from hostlink.workbench.sim.firmware_module import WorldParameters
 from tests.support.browser import PHONE, Visit, revisit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_log

@@ -11,9 +11,9 @@ import pytest
 from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
-from hostlink.config import Config, RobotConfig
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.config import Config, RobotConfig
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.support.background import meanwhile
 from tests.support.browser import Visit, visit
 from tests.support.daemon import daemon

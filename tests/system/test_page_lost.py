@@ -11,8 +11,8 @@ import pytest
 from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
-from hostlink.config import Config, RecordingConfig, TcpConfig, UdpConfig
-from hostlink.diagnosis.finding import finding
+from hostlink.core.config import Config, RecordingConfig, TcpConfig, UdpConfig
+from hostlink.core.diagnosis.finding import finding
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import driven

@@ -11,8 +11,8 @@ from playwright.async_api import Browser, Locator, Page
 from playwright.async_api import expect as expect_page
 
 import hostlink.recording
-from hostlink.config import ApiConfig, BlackBoxConfig, Config, RecordingConfig, RobotConfig, TokenConfig
-from hostlink.recording.reader import McapReader
+from hostlink.components.recorder.reader import McapReader
+from hostlink.core.config import ApiConfig, BlackBoxConfig, Config, RecordingConfig, RobotConfig, TokenConfig
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import run

@@ -9,8 +9,8 @@ import pytest
 from axe_playwright_python.async_playwright import Axe
 from playwright.async_api import Browser
 
-from hostlink.config import ApiConfig, Config, RobotConfig, TokenConfig
-from hostlink.protocol.endpoint import EndpointKind
+from hostlink.core.config import ApiConfig, Config, RobotConfig, TokenConfig
+from hostlink.core.protocol.endpoint import EndpointKind
 from tests.support.browser import DESK, PHONE, visit
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
@@ -46,7 +46,7 @@ async def test_page_without_a_robot_shows_how_to_get_one_and_that_one_is_gone(br
 
 
 async def test_played_robot_is_named_a_recording_instead_of_its_driver(browser: Browser) -> None:
-    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "hostlink/PlayedRecording")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_0/played", "hostlink_msgs/PlayedRecording")
     async with (
         daemon() as host,
         visit(browser, host.url) as tab,

@@ -11,7 +11,7 @@ import pytest
 from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
-from hostlink.config import Config, RobotConfig
+from hostlink.core.config import Config, RobotConfig
 from tests.support.browser import Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics

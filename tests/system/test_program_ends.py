@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from hostlink.robot.admission import LEASE_S
+from hostlink.core.robot.admission import LEASE_S
 from tests.support.screen import screen
 from tests.support.scripts import DrivenRobot, robot_to_drive, script
 from tests.support.waiting import TIMEOUT_S, expect_never

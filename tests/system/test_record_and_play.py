@@ -15,7 +15,7 @@ import pytest
 
 import hostlink.recording
 from hostlink.client import Host, connect
-from hostlink.recording.reader import McapReader, StoredMessage
+from hostlink.components.recorder.reader import McapReader, StoredMessage
 from tests.support.background import meanwhile
 from tests.support.driving import hold
 from tests.support.process import HOSTLINK, TIMEOUT_S, Process, run, serve, simulated

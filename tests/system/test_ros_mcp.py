@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.core.config import ApiConfig, Config, TokenConfig
 from tests.support.daemon import Daemon, daemon
 from tests.support.once import BUILD
 from tests.support.simulated import simulated_robot

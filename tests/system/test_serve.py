@@ -7,8 +7,8 @@ import signal
 import aiohttp
 import pytest
 
-from hostlink.sim.robot import SimulatedRobot
-from hostlink.sim.run import run_over_streams
+from hostlink.workbench.sim.robot import SimulatedRobot
+from hostlink.workbench.sim.run import run_over_streams
 from tests.support.driving import put_velocity
 from tests.support.process import HOSTLINK, free_port, run, serve, simulated
 from tests.support.pty_pair import pty_streams

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 import hostlink.client
-from hostlink import config, logs
 from hostlink.cli.main import COMMANDS
+from hostlink.core import config
+from hostlink.core.runtime import logs
 
 pytestmark = pytest.mark.long
 

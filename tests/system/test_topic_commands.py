@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, service_server, topic
 from tests.support.process import HOSTLINK, run

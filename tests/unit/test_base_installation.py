@@ -31,8 +31,8 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
 def test_daemon_recorder_and_client_load_without_the_extras() -> None:
     modules = (
         "hostlink.cli.serve, hostlink.cli.check, hostlink.cli.record, hostlink.cli.play, hostlink.cli.topics, "
-        "hostlink.cli.export, hostlink.recording.salvage, hostlink.recording.export, hostlink.client, "
-        "hostlink.graphs.ros1.node, hostlink.board.library"
+        "hostlink.cli.export, hostlink.components.recorder.salvage, hostlink.components.recorder.export, "
+        "hostlink.client, hostlink.components.ros1.node, hostlink.board.library"
     )
     done = run(f"import {modules}; hostlink.cli.serve.Catalog().message('nav_msgs/Odometry').md5")
     assert (done.returncode, done.stderr) == (0, "")
@@ -57,7 +57,7 @@ def test_command_without_its_extra_names_the_installation(command: list[str], li
 
 def test_chunk_compressed_with_lz4_names_the_extra_that_reads_it() -> None:
     chunk = struct.pack("<QQQI", 0, 0, 3, 0) + struct.pack("<I3sQ3s", 3, b"lz4", 3, b"abc")
-    done = run(f"from hostlink.recording.mcap_format import unpack_chunk\nunpack_chunk({chunk!r}, 100)")
+    done = run(f"from hostlink.components.recorder.mcap_format import unpack_chunk\nunpack_chunk({chunk!r}, 100)")
     assert "Damaged: needs lz4, of the extra 'export': run" in done.stderr
 
 

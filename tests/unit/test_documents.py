@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink import logs
+from hostlink.core.runtime import logs
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("docs", "firmware", "hostlink", "tests", "tools")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import hostlink.client
-from hostlink import config
+from hostlink.core import config
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])

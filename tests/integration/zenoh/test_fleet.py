@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from hostlink.client import connect
-from hostlink.config import Config, RobotConfig
+from hostlink.core.config import Config, RobotConfig
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
 from hostlink.errors import HostlinkError
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.device_reports import battery_topic, report
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.participants import subscribe
@@ -142,7 +142,7 @@ async def test_stream_that_continued_through_a_restart_of_the_robots_daemon_does
 
 
 async def test_remote_played_robot_is_marked_as_played() -> None:
-    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_7/played", "hostlink/PlayedRecording")
+    mark = topic(EndpointKind.PUBLISHER, 130, "/robot_7/played", "hostlink_msgs/PlayedRecording")
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, [*robot_topics("robot_7"), mark]):
         await shown(a, "robot_7")
         await expect(lambda: a.hub.robots.remote["robot_7"].known.is_played)

@@ -12,9 +12,9 @@ import pytest
 import zenoh
 from structlog.testing import capture_logs
 
-from hostlink.config import Config, ZenohConfig
-from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession, opened
-from hostlink.hub.isolation import Isolation
+from hostlink.components.zenoh.session import ZenohSample, ZenohSession, opened
+from hostlink.core.config import Config, ZenohConfig
+from hostlink.core.hub.isolation import Isolation
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import free_port

@@ -9,9 +9,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from hostlink.config import Config, ZenohConfig
-from hostlink.errors import HostlinkError
-from hostlink.graphs.zenoh.fleet_messages import (
+from hostlink.components.zenoh.fleet_messages import (
     MAX_ROBOTS,
     FleetCommand,
     FleetTopic,
@@ -20,8 +18,10 @@ from hostlink.graphs.zenoh.fleet_messages import (
     TopicList,
     encode,
 )
-from hostlink.graphs.zenoh.lingering import ZENOHS, lingers
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.components.zenoh.lingering import ZENOHS, lingers
+from hostlink.core.config import Config, ZenohConfig
+from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.errors import HostlinkError
 from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import driven

@@ -7,9 +7,9 @@ import random
 import re
 import time
 
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.protocol.rosserial.frame import OVERHEAD_BYTES, Frame, encode
-from hostlink.protocol.rosserial.stream import DEFAULT_LIMIT_BYTES, FrameStream
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.rosserial.frame import OVERHEAD_BYTES, Frame, encode
+from hostlink.core.protocol.rosserial.stream import DEFAULT_LIMIT_BYTES, FrameStream
 from tests.support.chaos import frames, requests
 from tests.support.chaos.connection import Connection, reading
 from tests.support.chaos.devices import quietly
@@ -56,8 +56,8 @@ async def request(stage: Stage, dice: random.Random, infos: list[DeviceEndpoint]
         stage.report({"calls": what, "began_s": began_s})
         outcome = "the link ended"
         try:
-            await connection.send(encode(requests_to.topic_id, request_of(requests_to.type, dice)))
-            outcome = await wait_for_answer(connection, answers_by.topic_id, answers_by.buffer_bytes)
+            await connection.send(encode(requests_to.id, request_of(requests_to.type, dice)))
+            outcome = await wait_for_answer(connection, answers_by.id, answers_by.buffer_bytes)
         finally:
             stage.report({"called": what, "waited_s": time.monotonic() - began_s, "outcome": outcome})
 
@@ -125,5 +125,5 @@ async def serve(stage: Stage, dice: random.Random, service: str, type_name: str,
         stream = FrameStream()
         while data := await connection.receive():
             for item in stream.feed(data):
-                if isinstance(item, Frame) and item.topic_id == infos[0].topic_id:
-                    await connection.send(encode(infos[1].topic_id, answer or b""))
+                if isinstance(item, Frame) and item.topic_id == infos[0].id:
+                    await connection.send(encode(infos[1].id, answer or b""))

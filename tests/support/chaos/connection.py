@@ -7,7 +7,7 @@ import socket
 import struct
 from collections.abc import AsyncIterator, Callable, Iterator
 
-from hostlink.cancellation import expire
+from hostlink.core.runtime.cancellation import expire
 from tests.support.background import meanwhile
 
 DIAL_S = 3.0

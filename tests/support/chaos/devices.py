@@ -6,7 +6,7 @@ import random
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from hostlink.protocol.rosserial.frame import encode
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.chaos import frames
 from tests.support.chaos.connection import WAYS, Connection, reading
 from tests.support.chaos.plan import Action

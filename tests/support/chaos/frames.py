@@ -6,10 +6,10 @@ import math
 import random
 from collections.abc import Callable, Iterator
 
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.events import LOG_LEVELS
-from hostlink.protocol.rosserial.control import Log, encode_topic_info
-from hostlink.protocol.rosserial.frame import FIRST_TOPIC_ID, SYNC, Id, encode
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.events import LOG_LEVELS
+from hostlink.core.protocol.rosserial.control import Log, encode_topic_info
+from hostlink.core.protocol.rosserial.frame import FIRST_TOPIC_ID, SYNC, Id, encode
 from tests.support.chaos.names import (
     CLASHING_NAMES,
     HONEST_ODOMETRY,
@@ -33,7 +33,7 @@ MOST_TOPICS = 6000
 ROBOT_TYPES = ["geometry_msgs/Twist", "geometry_msgs/Pose2D"]
 Blocks = Iterator[bytes]
 
-_MESSAGES = (Id.PUBLISHER, Id.SUBSCRIBER)
+_MESSAGES = (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER)
 
 
 def info_frame(info: DeviceEndpoint) -> bytes:
@@ -48,9 +48,9 @@ def introduction(infos: list[DeviceEndpoint]) -> bytes:
 def robot(name: str) -> list[DeviceEndpoint]:
     """A robot as the paper's, and a topic for floods."""
     return [
-        endpoint(Id.SUBSCRIBER, 100, f"/{name}/velocity_commands", "geometry_msgs/Twist"),
-        endpoint(Id.PUBLISHER, 125, f"/{name}/odometry", "geometry_msgs/Pose2D"),
-        endpoint(Id.PUBLISHER, 126, f"/{name}/data", "std_msgs/UInt8MultiArray", buffer_bytes=20000),
+        endpoint(EndpointKind.SUBSCRIBER, 100, f"/{name}/velocity_commands", "geometry_msgs/Twist"),
+        endpoint(EndpointKind.PUBLISHER, 125, f"/{name}/odometry", "geometry_msgs/Pose2D"),
+        endpoint(EndpointKind.PUBLISHER, 126, f"/{name}/data", "std_msgs/UInt8MultiArray", buffer_bytes=20000),
     ]
 
 
@@ -61,7 +61,7 @@ def draw_announcement(dice: random.Random) -> list[DeviceEndpoint]:
     types = dice.choice((ROBOT_TYPES, dice.sample(MESSAGE_TYPES, dice.randint(1, 4))))
     own_share = 1.0 if count > 500 else dice.choice((0.0, 0.0, 0.3, 1.0))
     wrong_share = dice.choice((0.0, 0.0, 0.0, 0.2, 1.0))
-    kinds = dice.choice((_MESSAGES, _MESSAGES, tuple(Id)[:6]))
+    kinds = dice.choice((_MESSAGES, _MESSAGES, tuple(EndpointKind)))
     is_in_order = dice.random() < 0.8
     to_device, from_device = itertools.count(FIRST_TOPIC_ID), itertools.count(FIRST_FROM_DEVICE + count)
     infos = []
@@ -123,7 +123,7 @@ def wrong_topics(dice: random.Random) -> Blocks:
     """TopicInfos with sums that are not those of their types."""
     names = dice.choice((ROGUE_TOPICS, CLASHING_NAMES))
     infos = [
-        endpoint(Id.PUBLISHER, 125 + number, name, "std_msgs/String")._replace(md5=WRONG_MD5)
+        endpoint(EndpointKind.PUBLISHER, 125 + number, name, "std_msgs/String")._replace(md5=WRONG_MD5)
         for number, name in enumerate(names)
     ]
     return same(b"".join(map(info_frame, infos)))
@@ -145,7 +145,7 @@ def requests(dice: random.Random) -> Blocks:
     """Calls of a service, of a type that is known or not."""
     type_name = dice.choice(SERVICE_TYPES)
     infos = service_client(dice.choice(SERVICES), type_name, 512)
-    frame = encode(infos[0].topic_id, request_of(type_name, dice))
+    frame = encode(infos[0].id, request_of(type_name, dice))
     return itertools.chain([introduction(infos)], same(frame))
 
 
@@ -217,8 +217,8 @@ def honest_introduction() -> bytes:
     """The honest robot's firmware, byte for byte."""
     return introduction(
         [
-            endpoint(Id.SUBSCRIBER, 100, HONEST_VELOCITY, "geometry_msgs/Twist"),
-            endpoint(Id.SUBSCRIBER, 101, HONEST_RESET, "std_msgs/Empty"),
-            endpoint(Id.PUBLISHER, 125, HONEST_ODOMETRY, "geometry_msgs/Pose2D"),
+            endpoint(EndpointKind.SUBSCRIBER, 100, HONEST_VELOCITY, "geometry_msgs/Twist"),
+            endpoint(EndpointKind.SUBSCRIBER, 101, HONEST_RESET, "std_msgs/Empty"),
+            endpoint(EndpointKind.PUBLISHER, 125, HONEST_ODOMETRY, "geometry_msgs/Pose2D"),
         ]
     )

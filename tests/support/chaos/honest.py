@@ -14,8 +14,8 @@ import struct
 import sys
 import time
 
-from hostlink.protocol.rosserial.frame import Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.chaos import frames
 from tests.support.chaos.connection import Connection, DatagramConnection
 from tests.support.chaos.devices import quietly

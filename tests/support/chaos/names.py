@@ -3,9 +3,8 @@
 import random
 import struct
 
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.protocol.rosserial.frame import Id
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 
 HONEST = "honest"
 HONEST_ADDRESS = "127.0.0.50"
@@ -43,7 +42,7 @@ def hostile_address(dice: random.Random) -> str:
     return f"127.0.9.{dice.randrange(ADDRESSES) + 1}"
 
 
-def md5_of(kind: Id, type_name: str) -> str:
+def md5_of(kind: EndpointKind, type_name: str) -> str:
     """Return the md5 sum of a type as a device has it; any sum for an unknown type."""
     if kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER):
         message = CATALOG.message(type_name)
@@ -55,7 +54,9 @@ def md5_of(kind: Id, type_name: str) -> str:
     return (service.request if is_request else service.response).md5
 
 
-def endpoint(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> DeviceEndpoint:
+def endpoint(
+    kind: EndpointKind, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512
+) -> DeviceEndpoint:
     """An endpoint with the sum that its type has.
 
     Nobody calls the honest robot's emergency stop: it works for every device, and ends the drive that is measured.

@@ -3,7 +3,7 @@
 import math
 from collections import deque
 
-from hostlink.hub.stall_watch import BEAT_S, GRACE_S, STALL_S
+from hostlink.core.hub.stall_watch import BEAT_S, GRACE_S, STALL_S
 
 KEPT = 4000  # samples: ten minutes and more
 

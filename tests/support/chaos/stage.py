@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from hostlink.protocol.rosserial.frame import TOPICS_REQUEST
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST
 from tests.support.chaos.connection import Connection, DatagramConnection, Room, leaving
 from tests.support.chaos.names import VERIFIED_ADDRESSES, hostile_address
 from tests.support.chaos.requests import draw_handshake

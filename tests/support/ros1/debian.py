@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hostlink.protocol.endpoint import DeviceEndpoint
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.support.fake_device import FakeDevice, fake_device
 from tests.support.fork_server import LINE_BYTES, Child, Program, shared, start
 from tests.support.process import Process, free_port, serve

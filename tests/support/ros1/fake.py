@@ -11,9 +11,9 @@ from typing import Any
 import aiohttp
 from aiohttp import web
 
-from hostlink.graphs.ros1.tcpros import MessageStream, decode_header, encode_header, encode_message
-from hostlink.graphs.ros1.xml_rpc import decode_call, encode_answer, encode_call
-from hostlink.messages.catalog import Catalog
+from hostlink.components.ros1.tcpros import MessageStream, decode_header, encode_header, encode_message
+from hostlink.components.ros1.xml_rpc import decode_call, encode_answer, encode_call
+from hostlink.core.messages.catalog import Catalog
 from tests.support.tcp_server import end_accepting, http_server, tcp_server
 from tests.support.waiting import TIMEOUT_S, expect
 

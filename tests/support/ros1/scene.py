@@ -6,10 +6,10 @@ import dataclasses
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
-from hostlink.config import Config, Ros1Config
-from hostlink.graphs.ros1.xml_rpc import decode_answer
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.components.ros1.xml_rpc import decode_answer
+from hostlink.core.config import Config, Ros1Config
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, robot_topics, topic
 from tests.support.ros1.fake import FakeMaster, fake_master

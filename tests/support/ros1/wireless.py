@@ -4,13 +4,13 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, cast
 
-from hostlink.config import Ros1Config
-from hostlink.graphs.ros1.connections import Wire
-from hostlink.graphs.ros1.local_node import LocalNode, Rpc
-from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream
-from hostlink.graphs.ros1.xml_rpc import Unreachable
-from hostlink.hub.hub import Hub
-from hostlink.hub.queue import Queue
+from hostlink.components.ros1.connections import Wire
+from hostlink.components.ros1.local_node import LocalNode, Rpc
+from hostlink.components.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream
+from hostlink.components.ros1.xml_rpc import Unreachable
+from hostlink.core.config import Ros1Config
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.queue import Queue
 
 MASTER = "http://master:11311/"
 

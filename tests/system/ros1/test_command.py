@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.support.fake_device import CATALOG, FakeDevice, pose, repeating, robot_topics, topic
 from tests.support.fork_server import start
 from tests.support.process import HOSTLINK, Process, free_port, run, started

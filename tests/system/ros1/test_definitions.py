@@ -6,7 +6,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from hostlink.messages.catalog import Catalog
+from hostlink.core.messages.catalog import Catalog
 from tests.support.random_messages import random_message, random_package
 from tests.support.ros1.debian import PYTHON
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.protocol.rosserial.frame import Id
+from hostlink.core.protocol.rosserial.frame import Id
 from tests.support.fake_device import FakeDevice, robot_topics
 from tests.support.process import HOSTLINK, Process, free_port, run, started
 from tests.support.ros1.debian import graph

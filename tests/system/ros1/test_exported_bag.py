@@ -6,9 +6,9 @@ from asyncio.subprocess import PIPE
 from pathlib import Path
 from typing import Any
 
-from hostlink.messages.catalog import Catalog
-from hostlink.recording.channel import EVENTS, as_text, ros_channel
-from hostlink.recording.mcap_writer import McapWriter
+from hostlink.components.recorder.channel import EVENTS, as_text, ros_channel
+from hostlink.components.recorder.mcap_writer import McapWriter
+from hostlink.core.messages.catalog import Catalog
 from tests.support.process import run
 from tests.support.ros1.debian import PYTHON
 from tests.support.waiting import TIMEOUT_S

@@ -9,9 +9,9 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import Id, encode
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.support.fake_device import FakeDevice, pose, repeating, robot_topics, service_client, service_server, topic
 from tests.support.process import Process, simulated
 from tests.support.ros1.debian import Graph, Node, graph, living_device

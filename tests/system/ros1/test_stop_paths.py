@@ -13,7 +13,7 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from hostlink.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.endpoint import EndpointKind
 from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, robot_topics, topic
 from tests.support.precedence import GOES_LAST

@@ -5,9 +5,9 @@ import json
 from asyncio.subprocess import PIPE
 from pathlib import Path
 
-from hostlink.messages.catalog import Catalog
-from hostlink.recording.channel import ros_channel
-from hostlink.recording.mcap_writer import McapWriter
+from hostlink.components.recorder.channel import ros_channel
+from hostlink.components.recorder.mcap_writer import McapWriter
+from hostlink.core.messages.catalog import Catalog
 from tests.support.process import run
 from tests.support.ros2 import PYTHON
 

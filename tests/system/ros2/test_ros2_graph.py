@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from hostlink.client import Host, HostlinkError, connect
-from hostlink.config import ApiConfig, Config, RobotConfig, TokenConfig
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.frame import Id, encode
-from hostlink.robot.velocity import Twist
+from hostlink.core.config import ApiConfig, Config, RobotConfig, TokenConfig
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.robot.velocity import Twist
 from tests.support.daemon import daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.ros2 import DISCOVERY_S, Peer, bridge, domain, peer

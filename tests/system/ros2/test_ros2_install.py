@@ -39,5 +39,5 @@ async def test_a_daemon_beside_rclpy_imports_none_of_it(tmp_path: Path) -> None:
     async with serve(log=log, program=program) as daemon:
         assert daemon.url
     imported = {line.split("|")[-1].strip() for line in log.read_text().splitlines() if line.startswith("import time")}
-    assert "hostlink.transport.tcp" in imported
-    assert [name for name in imported if name.startswith(("rclpy", "rcl_interfaces", "hostlink.graphs.ros2"))] == []
+    assert "hostlink.core.transport.tcp" in imported
+    assert [name for name in imported if name.startswith(("rclpy", "rcl_interfaces", "hostlink.components.ros2"))] == []

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.config import Config
-from hostlink.robot.velocity_gate import VelocityGate
+from hostlink.core.config import Config
+from hostlink.core.robot.velocity_gate import VelocityGate
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import free_port, serve
 from tests.support.proxy import Line, proxy

@@ -12,7 +12,7 @@ from typing import Any
 import aiohttp
 import pytest
 
-from hostlink.graphs.zenoh.fleet import READ_S
+from hostlink.components.zenoh.fleet import READ_S
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import HOSTLINK, Process, free_port, run, serve
 from tests.support.stopwatch import Stopwatch

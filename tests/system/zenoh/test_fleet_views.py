@@ -8,7 +8,7 @@ import pytest
 from playwright.async_api import Browser
 
 from hostlink.client import connect
-from hostlink.config import Config, LinkConfig
+from hostlink.core.config import Config, LinkConfig
 from hostlink.errors import CommandRefused, RefusalKind
 from tests.support.browser import visit
 from tests.support.driving import hold

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from hostlink.board.headers import message_header, service_header
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.message_type import MessageType
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.message_type import MessageType
 from tests.support.fake_device import message_type, service_type
 
 CATALOG = Catalog()

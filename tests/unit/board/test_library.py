@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hostlink.board.library import headers, library, pack, select, sources, types_needed
+from hostlink.core.messages.catalog import Catalog
 from hostlink.errors import ConfigError
-from hostlink.messages.catalog import Catalog
 
 SELECTION = select(Catalog(), ["std_msgs", "std_srvs"])
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from hostlink.board.library import known_names, select
+from hostlink.core.messages.catalog import Catalog
 from hostlink.errors import ConfigError
-from hostlink.messages.catalog import Catalog
 
 CATALOG = Catalog()
 

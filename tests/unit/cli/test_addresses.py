@@ -3,7 +3,7 @@
 import pytest
 
 from hostlink.cli.addresses import parse_address, parse_serial
-from hostlink.config import SerialConfig
+from hostlink.core.config import SerialConfig
 from hostlink.errors import ConfigError
 
 

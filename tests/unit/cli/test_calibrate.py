@@ -15,13 +15,13 @@ from hostlink.cli.calibration_plan import SavedCalibration, Sizes, open_state
 from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show, numbers_of, pose_of, require_two_wheels
 from hostlink.cli.main import build_app
 from hostlink.cli.output import write, write_error
-from hostlink.config import load
+from hostlink.client.course import CourseFollower, Leg, Speed
+from hostlink.core.config import load
+from hostlink.core.robot.kinematics import Pose
+from hostlink.core.robot.odometry import OdometryCorrection
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.robot.calibration import WheelGeometry, calibrated
-from hostlink.robot.course import CourseFollower, Leg, Speed
-from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry import OdometryCorrection
-from tests.unit.robot.drives import ExactRobot, relative
+from hostlink.workbench.calibration import WheelGeometry, calibrated
+from tests.unit.core.robot.drives import ExactRobot, relative
 
 TRUE = WheelGeometry(0.0448, 0.0453, 0.2142)
 SMALL = ("--length", "2", "--side", "1", "--turns", "2", "--repeats", "1")

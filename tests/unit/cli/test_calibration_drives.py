@@ -7,12 +7,12 @@ import pytest
 
 from hostlink.cli import calibration_session
 from hostlink.cli.calibration_session import SILENCE_S, Drives
-from hostlink.config import Config, ParameterValue, RobotConfig
+from hostlink.client.course import STUCK_S, Leg, Speed, square, straight
+from hostlink.core.config import Config, ParameterValue, RobotConfig
+from hostlink.core.robot.kinematics import Pose
+from hostlink.core.robot.odometry import OdometryCorrection
 from hostlink.errors import HostlinkError
-from hostlink.robot.calibration import WheelGeometry
-from hostlink.robot.course import STUCK_S, Leg, Speed, square, straight
-from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry import OdometryCorrection
+from hostlink.workbench.calibration import WheelGeometry
 from tests.support.background import meanwhile
 from tests.support.bench import Bench, bench, refused, with_robot
 from tests.support.fake_device import robot_topics

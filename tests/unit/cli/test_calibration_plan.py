@@ -17,9 +17,9 @@ from hostlink.cli.calibration_plan import (
     steps_of,
 )
 from hostlink.cli.quantities import UnitMissing, parse_angle, parse_length
+from hostlink.core.robot.kinematics import Pose
 from hostlink.errors import HostlinkError
-from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry
-from hostlink.robot.kinematics import Pose
+from hostlink.workbench.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry
 
 RUN = MeasuredRun(RunKind.STRAIGHT, 3.0, (Pose(), Pose(3.0, 0.1, 0.01)), Measurement(2.98, 0.12))
 

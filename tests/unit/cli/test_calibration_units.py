@@ -15,12 +15,12 @@ from hostlink.cli.calibrate import GuidedCalibration
 from hostlink.cli.calibration_plan import SavedCalibration, Sizes, open_state
 from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show
 from hostlink.cli.quantities import UNITS_M
+from hostlink.client.course import CourseFollower, Leg, Speed
+from hostlink.core.robot.kinematics import Pose
+from hostlink.core.robot.odometry import OdometryCorrection
 from hostlink.errors import HostlinkError
-from hostlink.robot.calibration import Calibration, WheelGeometry
-from hostlink.robot.course import CourseFollower, Leg, Speed
-from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry import OdometryCorrection
-from tests.unit.robot.drives import ExactRobot, relative
+from hostlink.workbench.calibration import Calibration, WheelGeometry
+from tests.unit.core.robot.drives import ExactRobot, relative
 
 NOMINAL = WheelGeometry()
 SIZES = Sizes(length_m=2.0, side_m=1.0, turns=0, repeats=1)

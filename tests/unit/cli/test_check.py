@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from hostlink.cli.check import FEWEST, check, describe, fitted
-from hostlink.config import (
+from hostlink.components.recorder.owner import FolderOwner
+from hostlink.core.config import (
     ApiConfig,
     Config,
     EncodersConfig,
@@ -22,7 +23,6 @@ from hostlink.config import (
     ZenohConfig,
 )
 from hostlink.errors import ConfigError
-from hostlink.recording.owner import FolderOwner
 
 TOKEN = TokenConfig(name="phone", role="drive", token="a-token-of-a-driver")
 OPEN = ApiConfig(host="0.0.0.0", port=0)

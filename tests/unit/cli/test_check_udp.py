@@ -9,7 +9,7 @@ import pytest
 
 from hostlink.cli.check import FEWEST, check, describe, fitted
 from hostlink.cli.serve_command import merge
-from hostlink.config import ApiConfig, Config, TcpConfig, UdpConfig, load
+from hostlink.core.config import ApiConfig, Config, TcpConfig, UdpConfig, load
 from hostlink.errors import ConfigError
 
 QUIET = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0), guardian=False)

@@ -3,7 +3,7 @@
 import pytest
 
 from hostlink.cli.check import NODE_SHARES, OWN, fitted
-from hostlink.config import Config, Ros1Config
+from hostlink.core.config import Config, Ros1Config
 
 ROS1 = Config(ros1=Ros1Config(master="http://localhost:11311"))
 

@@ -11,8 +11,8 @@ from hostlink.cli.local_time import offset, time_text, wall_text
 from hostlink.cli.output import table
 from hostlink.cli.record import HEADS, NEWEST, _incidents, progress, row, write_newest
 from hostlink.client import Host
+from hostlink.components.recorder.folder import file_stamp
 from hostlink.errors import HostlinkError
-from hostlink.recording.folder import file_stamp
 
 NOW = datetime(2026, 11, 22, 12, tzinfo=timezone(timedelta(hours=1)))
 LATER = NOW + timedelta(days=1)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from hostlink.cli.serve_command import EXAMPLES, read_example
-from hostlink.config import ApiConfig, Config, RobotConfig, SerialConfig, TokenConfig, load
+from hostlink.core.config import ApiConfig, Config, RobotConfig, SerialConfig, TokenConfig, load
 from hostlink.errors import ConfigError
 
 SETTING_NOT_MADE = re.compile(r"^#(?=\S)", re.MULTILINE)

@@ -13,8 +13,8 @@ import pytest
 from hostlink.cli.check import check
 from hostlink.cli.robots import _robots
 from hostlink.client import Host
-from hostlink.config import ApiConfig, Config, RobotConfig, TcpConfig, WheelsConfig, load
-from hostlink.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.config import ApiConfig, Config, RobotConfig, TcpConfig, WheelsConfig, load
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from tests.support.background import cancelling
 from tests.support.fake_device import robot_topics, topic
 from tests.support.memory_client import memory_host

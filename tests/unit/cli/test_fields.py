@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.topics import csv_line, field_of, flat, is_recording, readable
+from hostlink.core.runtime.plain_text import csv_text
 from hostlink.errors import HostlinkError
-from hostlink.plain_text import csv_text
 
 MESSAGE = {"header": {"stamp": {"secs": 5}}, "ranges": [0.5, 1.5], "legs": [{"x": 1}, {"x": 2}], "name": "a"}
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.capture_file import Read, load_reads
 from hostlink.cli.inspect import Inspection, json_value
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.runtime.capture_file import Read, load_reads
 from hostlink.errors import BadRequest
-from hostlink.messages.catalog import Catalog
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.protocol.rosserial.control import encode_topic_info
-from hostlink.protocol.rosserial.frame import encode
 from tests.support.fake_device import topic
 
 

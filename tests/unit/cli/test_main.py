@@ -113,7 +113,7 @@ QUICK = (
 @pytest.mark.slow
 def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
     modules = sorted({module_of(name) for name in QUICK})
-    slow = ("hostlink.hub.hub", "aiohttp.web", "structlog", "numpy")
+    slow = ("hostlink.core.hub.hub", "aiohttp.web", "structlog", "numpy")
     text = f"import sys, importlib; [*map(importlib.import_module, {modules})]; print({{*{slow}}} & {{*sys.modules}})"
     found = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
     assert found.stdout == "set()\n"

@@ -4,7 +4,7 @@ import pytest
 
 from hostlink.cli.addresses import is_origin
 from hostlink.cli.serve_command import allow_origins
-from hostlink.config import ApiConfig, Config
+from hostlink.core.config import ApiConfig, Config
 from hostlink.errors import ConfigError
 
 

@@ -17,10 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hostlink.cli
-from hostlink import logs
 from hostlink.cli.main import main
 from hostlink.cli.output import allow_any_text, show_progress, table, terminal_size, write
-from hostlink.plain_text import plain
+from hostlink.core.runtime import logs
+from hostlink.core.runtime.plain_text import plain
 
 WRITERS = {"output.py"}
 LINE = "  driving: 12 s, leg 1 of 8; Ctrl-C stops it"

@@ -11,10 +11,10 @@ import pytest
 
 from hostlink.cli import play
 from hostlink.client import Robot
+from hostlink.components.recorder.channel import DEVICE, VELOCITY
+from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import BadRequest, HostlinkError
-from hostlink.recording.channel import DEVICE, VELOCITY
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.bench import Bench, bench, refused
 from tests.support.fake_device import robot_topics
 from tests.support.memory_hub import velocities

@@ -10,9 +10,9 @@ import typer
 
 from hostlink.cli.robots import _halt, _lock, _stop, _unlock
 from hostlink.client import Host, Robot, Standstill, StandstillState, Stopped, StoppedRobot
+from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.errors import CommandRefused, HostlinkError
-from hostlink.hub.device import CommandEndpoint
-from hostlink.protocol.endpoint import EndpointKind
 from tests.support.background import cancelling
 from tests.support.fake_device import topic
 from tests.support.memory_client import memory_host

@@ -6,9 +6,9 @@ import pytest
 
 from hostlink.cli.ros1 import MASTER, NODE, _catkin_version, _PortOptions, node_of, with_devices
 from hostlink.cli.ros1_parameters import scalar
-from hostlink.config import Config, Ros1Config
+from hostlink.components.ros1.names import parse_arguments
+from hostlink.core.config import Config, Ros1Config
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.names import parse_arguments
 
 
 def devices(*others: str, parameters: dict[str, Any] | None = None, **options: Any) -> tuple[object, ...]:

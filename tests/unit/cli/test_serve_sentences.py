@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import structlog
 
-from hostlink import logs
 from hostlink.cli.serve_command import Sentences
+from hostlink.core.runtime import logs
 
 STARTED = {"event": "daemon.started", "api": "http://127.0.0.1:9090", "tcp": "0.0.0.0:11411"}
 APPEARED = {"event": "robot.appeared", "robot": "mule", "velocity": "/mule/cmd_vel"}

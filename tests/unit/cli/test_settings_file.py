@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.settings_file import changed, require_changeable, toml_lines, write_settings
-from hostlink.config import load
+from hostlink.core.config import load
 from hostlink.errors import ConfigError
 
 FILE = """\

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hostlink.cli.check import check
 from hostlink.cli.setup import configuration, questions
-from hostlink.config import Config, load
+from hostlink.core.config import Config, load
 
 QUESTIONS = {question.key: question for question in questions(["/dev/ttyACM0"])}
 DEFAULTS = {key: question.default for key, question in QUESTIONS.items()}

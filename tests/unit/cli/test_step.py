@@ -21,10 +21,10 @@ from hostlink.cli.step import (
     step_lines,
 )
 from hostlink.client import RobotState
+from hostlink.core.robot.kinematics import DifferentialDrive
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import ConfigError
-from hostlink.robot.kinematics import DifferentialDrive
-from hostlink.robot.step_response import Record, step_figures
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.workbench.step_response import Record, step_figures
 
 B_M = 0.21
 GAINS = "geometry_msgs/Vector3"

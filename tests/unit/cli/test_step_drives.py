@@ -27,12 +27,12 @@ from hostlink.cli.step import (
     wheel_parameter,
 )
 from hostlink.client import PRIORITY, Host
-from hostlink.config import Config, ParameterValue, RobotConfig
+from hostlink.core.config import Config, ParameterValue, RobotConfig
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.robot.motor_model import PidGains, identify_motor, simc_gains
-from hostlink.robot.step_response import Record, step_figures
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.workbench.motor_model import PidGains, identify_motor, simc_gains
+from hostlink.workbench.step_response import Record, step_figures
 from tests.support.background import meanwhile
 from tests.support.bench import Bench, bench, refused, with_robot
 from tests.support.fake_device import robot_topics, topic

@@ -10,8 +10,8 @@ import pytest
 from hostlink.client.callers import Callers
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
+from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import HostlinkError
-from hostlink.robot.velocity import PlanarVelocity
 from tests.support.virtual_loop import run_virtual
 
 ROBOT, OTHER, AHEAD = "robot_0", "robot_1", PlanarVelocity(0.2, 0.0, 0.0)

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import pytest
 
 from hostlink.client import Driven, Refusal, Robot, driver
+from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.hub.gates import RemoteHosts
+from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.hub.robot_events import LET_GO, WAS_STOPPED, EventKind, RobotEvent
+from hostlink.core.robot.admission import EARLIER_EPOCH, LEASE_S
+from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.core.robot.velocity_gate import VelocityGate
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
-from hostlink.hub.device import CommandEndpoint
-from hostlink.hub.gates import RemoteHosts
-from hostlink.hub.robot import LocalRobot
-from hostlink.hub.robot_events import LET_GO, WAS_STOPPED, EventKind, RobotEvent
-from hostlink.robot.admission import EARLIER_EPOCH, LEASE_S
-from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.velocity_gate import VelocityGate
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
 from tests.support.memory_client import MemoryHost, memory_host

@@ -11,10 +11,10 @@ import pytest
 from hostlink.client import Motion, MotionOutcome, Progress, Robot
 from hostlink.client.driver import VelocitySender
 from hostlink.client.motion import Begin, CoursePilot, Fix, follow, line, turn
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.robot.kinematics import Pose
+from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind
-from hostlink.protocol.endpoint import EndpointKind
-from hostlink.robot.kinematics import Pose
-from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.background import cancelling
 from tests.support.fake_device import topic
 from tests.support.memory_client import MemoryHost, memory_host

@@ -1,7 +1,7 @@
 """Answers of stops and locks: what odometry has measured since. A simulated robot in virtual time."""
 
 from hostlink.client import StandstillState
-from hostlink.hub.standstills import WAIT_S
+from hostlink.core.hub.standstills import WAIT_S
 from tests.support.bench import with_robot
 from tests.support.virtual_loop import virtual
 from tests.support.waiting import expect

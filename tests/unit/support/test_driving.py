@@ -5,8 +5,8 @@ from typing import Any, cast
 
 import pytest
 
+from hostlink.core.robot.admission import LEASE_S
 from hostlink.errors import CommandRefused, RefusalKind
-from hostlink.robot.admission import LEASE_S
 from tests.support.driving import COMMAND_INTERVAL_S, REFUSED, answered, driven
 from tests.support.participants import ROBOT, Scene, play
 from tests.support.virtual_loop import VirtualLoop, inside, run_virtual

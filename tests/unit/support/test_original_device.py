@@ -2,10 +2,10 @@
 
 import pytest
 
-from hostlink.protocol.events import Parameter
-from hostlink.protocol.rosserial.control import decode_parameter_request, encode_parameter, encode_time
-from hostlink.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.rosserial.control import decode_parameter_request, encode_parameter, encode_time
+from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.original_device import RETRY_S, DeviceCrashed, OriginalDevice
 from tests.support.uart import RING_BYTES, Uart
 

@@ -45,7 +45,12 @@ def test_missing_file_is_named(tmp_path: Path, missing: str) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["tests/conftest.py", "hostlink/api/web/src/main.ts", "hostlink/__pycache__/a.pyc", "hostlink/node_modules/x"],
+    [
+        "tests/conftest.py",
+        "hostlink/components/gateway/web/src/main.ts",
+        "hostlink/__pycache__/a.pyc",
+        "hostlink/node_modules/x",
+    ],
 )
 def test_unwanted_file_is_named(tmp_path: Path, name: str) -> None:
     assert release.problems_of_wheel(wheel(tmp_path, *release.NEEDED, name)) == [f"{name} is in the wheel"]

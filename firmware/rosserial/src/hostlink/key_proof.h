@@ -1,4 +1,4 @@
-// The device's side of the proof that device and host share a key (hostlink/transport/keyed.py):
+// The device's side of the proof that device and host share a key (hostlink/core/transport/keyed.py):
 //   host -> device   "HLK1", 16 random bytes
 //   device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both randoms)
 //   host -> device   HMAC-SHA256(key, "host", both randoms)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.hub.stall_watch import GRACE_S
+from hostlink.core.hub.stall_watch import GRACE_S
 from tests.support.chaos.noise import Noise
 
 

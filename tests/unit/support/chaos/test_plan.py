@@ -7,8 +7,8 @@ import struct
 
 import pytest
 
-from hostlink.protocol.rosserial.frame import Frame
-from hostlink.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.rosserial.frame import Frame
+from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.chaos import frames, requests
 from tests.support.chaos.names import HOSTILE_RAD_S, payload_of
 from tests.support.chaos.plan import KINDS, PHASE_STEPS, draw_mix, draw_step

@@ -1,0 +1,1 @@
+"""Recordings in MCAP files, the black box, and their reading and playback."""

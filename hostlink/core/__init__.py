@@ -1,0 +1,1 @@
+"""The part that holds robots: device protocols, links, the hub and the rules of velocities."""

@@ -1,0 +1,692 @@
+"""Settings of the daemon: one frozen dataclass for each part, read once from a TOML file and the flags."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import functools
+import ipaddress
+import math
+import re
+import typing
+import urllib.parse
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from hostlink.core.runtime.text_file import decoded, read_bytes
+from hostlink.errors import ConfigError
+
+MAX_PORT = 0xFFFF
+MAX_FILE_BYTES = 64 * 1024 * 1024  # 20,000 robots need two; a device file such as /dev/zero is endless
+MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
+
+MAX_ROS_DOMAIN_ID = 232
+ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # part of a Zenoh key
+
+ParameterScalar = bool | int | float | str
+ParameterValue = ParameterScalar | list[ParameterScalar]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TcpConfig:
+    """TCP port for devices."""
+
+    host: str = "0.0.0.0"  # noqa: S104 - devices come from the network; the API is what stays on loopback
+    port: int = 11411  # the port of every rosserial TCP client
+    allow: tuple[str, ...] = ()  # networks that may connect, such as "192.168.4.0/24"; empty: all
+    max_connections: int = 256  # a quarter of the usual descriptor limit of a process
+    max_connections_per_address: int = 64  # a fleet behind one address, such as the simulated one
+    key_file: Path | None = None  # key that devices must prove, as the project's ESP8266 firmware can
+    keyless: tuple[str, ...] = ()  # with key_file: networks of devices that need no key
+    protocol: str = "rosserial"  # that the devices speak: docs/protocols.md
+    mdns: bool = False  # advertise this port in the local network as _rosserial._tcp
+
+    def __post_init__(self) -> None:
+        for network in (*self.allow, *self.keyless):
+            ipaddress.ip_network(network)  # raises ValueError with its name
+        if min(self.max_connections, self.max_connections_per_address) < 1:
+            raise ValueError("a bound on connections must be at least 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UdpConfig:
+    """UDP port for devices."""
+
+    host: str = "0.0.0.0"  # noqa: S104 - devices come from the network; the API is what stays on loopback
+    port: int = 11411  # the default of rosserial_server
+    allow: tuple[str, ...] = ()  # networks that may send; empty: all
+    trusted: tuple[str, ...] = ()  # networks without forged source addresses; others get no more bytes than they send
+    devices: tuple[str, ...] = ()  # "HOST:PORT" of devices that wait until the host has sent a datagram
+    max_connections: int = 256  # sessions; half of them of unverified addresses
+    max_connections_per_address: int = 64
+    key_file: Path | None = None
+    keyless: tuple[str, ...] = ()
+    protocol: str = "rosserial"
+
+    def __post_init__(self) -> None:
+        for network in (*self.allow, *self.trusted, *self.keyless):
+            ipaddress.ip_network(network)  # raises ValueError with its name
+        if self.max_connections < 2 or self.max_connections_per_address < 1:  # noqa: PLR2004 - each kind has its half
+            raise ValueError("max_connections must be at least 2, max_connections_per_address 1")
+        self.device_addresses()
+
+    def device_addresses(self) -> list[tuple[str, int]]:
+        """Host and port of each of `devices`.
+
+        Raises:
+            ValueError: an entry has no IP address, or no port.
+        """
+        return [_device_address(text) for text in self.devices]
+
+
+_RATE_IN_PATH = re.compile(r"(.+):(\d{3,9})")  # "/dev/ttyUSB0:115200"; a name in by-path ends with ":1.0-port0"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SerialConfig:
+    """Serial port of one device."""
+
+    path: str | None = None  # "/dev/ttyACM0", or a pattern that matches one port: "/dev/serial/by-id/usb-Arduino*"
+    usb_serial: str | None = None  # alternative: serial number of the USB device, independent of the port's name
+    baud: int | tuple[int, ...] = 57600  # rosserial's default; several rates are tried in turn until frames arrive
+    baud_try_s: float = 4.5  # for each rate; the host requests topics every 2 s, so twice at each rate
+    on_open: Literal["leave", "reset"] = "leave"  # DTR line of the board: leave it, or reset the board
+    dtr: bool = True  # lines while the port is open; both on hold some boards in reset, for example an ESP32-CAM-MB
+    rts: bool = True
+    protocol: str = "rosserial"
+
+    def __post_init__(self) -> None:
+        if (self.path is None) == (self.usb_serial is None):
+            raise ValueError("a serial port needs either path or usb_serial")
+        if self.baud == ():
+            raise ValueError("a serial port needs a baud rate")
+        if self.path is not None and (found := _RATE_IN_PATH.fullmatch(self.path)):
+            raise ValueError(f"the baud rate is a setting of its own: path = {found[1]!r}, baud = {found[2]}")
+        if self.on_open == "reset" and not self.dtr:
+            raise ValueError('on_open = "reset" needs dtr = true')
+
+    @property
+    def name(self) -> str:
+        """Name of the port that does not change when it is plugged in again; `address` of a robot refers to it."""
+        return self.usb_serial or self.path or ""
+
+    @property
+    def bauds(self) -> tuple[int, ...]:
+        """Baud rates to try."""
+        return (self.baud,) if isinstance(self.baud, int) else self.baud
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkConfig:
+    """Supervision and pacing of one link."""
+
+    silence_timeout_s: float | None = 5.0  # for a device that requests the time every 2.5 s: two requests were missed
+    idle_timeout_s: float | None = 11.0  # for other devices; without time answers a device stops sending after 11 s
+    write_timeout_s: float = 5.0  # a socket that accepts nothing for two time requests of its device is dead
+    uart_bytes_s: int | None = None  # None: not paced; 3840 for the paper's robot (38400 baud)
+    max_topics: int = 256  # per device, including services; rosserial's library has 25 of each kind by default
+    forget_robot_after_s: float = 600.0  # for an unconfigured and unlocked robot after it has disconnected
+
+    def __post_init__(self) -> None:
+        if self.max_topics < 1 or not self.forget_robot_after_s >= 0:
+            raise ValueError("max_topics must be at least 1, forget_robot_after_s zero or more")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TokenConfig:
+    """API token: its name and its role."""
+
+    name: str
+    role: Literal["read", "drive"] = "read"
+    token: str | None = field(default=None, repr=False)
+    token_file: Path | None = None  # alternative to `token`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApiConfig:
+    """API port, access and limits."""
+
+    host: str = "127.0.0.1"
+    port: int = 9090  # the default of rosbridge
+    tokens: tuple[TokenConfig, ...] = ()
+    origins: tuple[str, ...] = ()  # origins of other web pages that may use the API
+    certificate: Path | None = None  # PEM; with `key`: TLS
+    key: Path | None = None
+    max_clients: int = 256  # WebSockets and event streams at once
+    # TCP connections, including those of clients: half of the usual descriptor limit of a process.
+    max_connections: int = 512
+    max_connections_per_address: int = 320  # this computer is one address, and may have every client
+    request_timeout_s: float = 10.0  # for the head of a request, and again for its body
+    max_message_bytes: int = 1024 * 1024  # ten times the largest device frame in base64
+    max_requests_s: float = 1000.0  # per address, and per WebSocket; ten robots driven at 100 Hz
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ros1Config:
+    """Node of the daemon in a ROS 1 graph."""
+
+    master: str = ""  # "http://localhost:11311"; empty: no node
+    name: str = "hostlink"  # name of the node
+    namespace: str = "/"
+    # Name or address under which other nodes reach this one; None: its address towards the master.
+    host: str | None = None
+    port: int = 0  # of the slave API; 0: any free port
+    tcpros_port: int = 0
+    allow: tuple[str, ...] = ()  # networks from which nodes may connect; empty: all. ROS 1 has no passwords
+    max_connections: int = 256  # on each of the two ports, and to other nodes
+    max_message_bytes: int = 4 * 1024 * 1024  # from other nodes; a device's messages have a hundredth of it
+    remappings: dict[str, str] = field(default_factory=dict)  # of topics and services
+
+    def __post_init__(self) -> None:
+        for network in self.allow:
+            ipaddress.ip_network(network)  # raises ValueError with its name
+        if self.master and not _is_master(self.master):
+            raise ValueError(f"{self.master!r} is not the address of a ROS master, such as http://localhost:11311")
+        if not re.fullmatch(r"[A-Za-z]\w*", self.name, re.ASCII):
+            raise ValueError(
+                f"{self.name!r} is not a valid node name; use letters, digits and _, and begin with a letter"
+            )
+        if not re.fullmatch(r"/?([A-Za-z]\w*(/[A-Za-z]\w*)*)?/?", self.namespace, re.ASCII):
+            raise ValueError(f"{self.namespace!r} is not a namespace, such as /lab")
+        if min(self.max_connections, self.max_message_bytes) < 1:
+            raise ValueError("a bound must be at least 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationConfig:
+    """Difference between the true wheels and the device's constants; `hostlink calibrate` measures it."""
+
+    left_factor: float = 1.0  # true radius of the left wheel, divided by the device's value
+    right_factor: float = 1.0
+    nominal_separation_m: float = 0.210  # device's value; the paper's robot
+    separation_m: float = 0.210  # true value
+
+    def __post_init__(self) -> None:
+        factors = (self.left_factor, self.right_factor, self.separation_m / max(self.nominal_separation_m, 1e-3))
+        if not all(1 / MOST_CALIBRATION <= factor <= MOST_CALIBRATION for factor in factors):
+            raise ValueError(f"a calibration may change a value by a factor of at most {MOST_CALIBRATION:g}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelsConfig:
+    """Topics by which the wheels of a robot are driven, instead of a velocity."""
+
+    topics: tuple[str, ...]  # one for each wheel in the drive's order; or one array; or one JointState
+    joints: tuple[str, ...] = ()  # names of a JointState, in the drive's order
+    unit: Literal["rad_s", "m_s", "rpm", "ticks_s", "pwm"] = "m_s"
+    directions: tuple[float, ...] = ()  # 1 or -1 for each wheel; empty: all forwards
+    ticks_per_turn: float = 0.0  # of unit = "ticks_s"
+    full: float = 255.0  # of unit = "pwm": added to `rest` at the robot's fastest wheel speed, 500 of an ESC
+    rest: float = 0.0  # number at rest, for example 1500 of an ESC
+
+    def __post_init__(self) -> None:
+        if not self.topics:
+            raise ValueError(
+                'wheels.topics must name the topics of the wheels, for example ["lmotor_cmd", "rmotor_cmd"]'
+            )
+        if len(set(self.topics)) < len(self.topics):
+            raise ValueError("wheels.topics names one topic twice")
+        if self.unit == "ticks_s" and self.ticks_per_turn <= 0:
+            raise ValueError('wheels.unit "ticks_s" needs ticks_per_turn above zero')
+        if not all(abs(each) == 1 for each in self.directions):
+            raise ValueError("wheels.directions must be 1 or -1 for each wheel")
+        if not 0 < self.full < math.inf:
+            advice = "; a wheel that turns the other way has -1 in wheels.directions" if self.full < 0 else ""
+            raise ValueError(f"wheels.full must be a finite number above zero, not {self.full:g}{advice}")
+        _check_range("wheels.full", self.full, "wheels.rest", self.rest, is_bounded=self.unit == "pwm")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThrottleConfig:
+    """Topics with a number for the throttle and one for the steering of a car, instead of a velocity."""
+
+    topics: tuple[str, ...]  # throttle, steering
+    unit: Literal["m_s", "pwm"] = "m_s"  # of the throttle
+    full: float = 255.0  # of unit = "pwm": added to `rest` at the highest speed; below zero: it is reversed
+    rest: float = 0.0  # of the throttle
+    steering_full: float | None = None  # added to steering_rest at max_steering_rad to the left; None: the angle in rad
+    steering_rest: float = 0.0  # number straight ahead
+
+    def __post_init__(self) -> None:
+        if not len(self.topics) == len(set(self.topics)) == _PAIR:
+            raise ValueError('throttle.topics must be two, for example ["throttle", "steering"]')
+        full, steering_full = self.full, self.steering_full
+        _check_range("throttle.full", full, "throttle.rest", self.rest, is_bounded=self.unit == "pwm")
+        _check_range(
+            "throttle.steering_full",
+            1.0 if steering_full is None else steering_full,
+            "throttle.steering_rest",
+            self.steering_rest,
+            is_bounded=steering_full is not None,
+        )
+
+
+def _check_range(full_name: str, full: float, rest_name: str, rest: float, *, is_bounded: bool) -> None:
+    """Check the numbers of a motor: `rest` at rest, and `full` more or less than that at full speed.
+
+    Raises:
+        ValueError: there are no such numbers, or they go beyond zero while that at rest does not.
+    """
+    for name, number in ((full_name, full), (rest_name, rest)):
+        if not math.isfinite(number):
+            raise ValueError(f"{name} must be a finite number, not {number}")
+    if full == 0:
+        raise ValueError(f"{full_name} must be a finite number, not zero")
+    if is_bounded and rest > 0 and abs(full) > rest:
+        lowest, highest, advice = rest - abs(full), rest + abs(full), f"; choose at most {rest:g}"
+        if rest < full < 2 * rest:
+            advice = f"; for {2 * rest - full:g} to {full:g} with rest = {rest:g} set full = {full - rest:g}"
+        raise ValueError(
+            f"{full_name} is added to {rest_name} and subtracted from it: {lowest:g} to {highest:g}{advice}"
+        )
+
+
+Unit = Literal["ticks", "rad", "m", "ticks/s", "rad/s", "rpm", "m/s"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncodersConfig:
+    """Reports of a robot's wheels: counts, angles or speeds. The host integrates them to its odometry."""
+
+    topics: tuple[str, ...] = ()  # one for each wheel, such as ["left_ticks", "right_ticks"]
+    topic: str | None = None  # alternative: one topic with an array, or a JointState
+    joints: tuple[str, ...] = ()  # of the JointState: its names of the wheels
+    wheels: tuple[str, ...] = ()  # the wheel of each topic, value or joint; empty: in the order of the drive's wheels
+    directions: tuple[Literal[1, -1], ...] = ()  # -1: the count falls when the robot drives forward
+    unit: Unit = "ticks"
+    counts: Literal["absolute", "differences"] = "absolute"  # differences: since the message before
+    ticks_per_turn: float | None = None  # of the wheel, with the gear between motor and wheel
+    wheel_radius_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if bool(self.topics) == (self.topic is not None):
+            raise ValueError("encoders need either topics (one for each wheel) or topic (an array or a JointState)")
+        if len(set(self.topics)) < len(self.topics) or len(self.topics) > MAX_WHEELS:
+            raise ValueError(f"topics must be at most {MAX_WHEELS} different names")
+        for name, value in (("ticks_per_turn", self.ticks_per_turn), ("wheel_radius_m", self.wheel_radius_m)):
+            if value is not None and not 0 < value < math.inf:
+                raise ValueError(f"{name} must be a finite number above zero, not {value}")
+        if self.counts == "differences" and self.unit not in ("ticks", "rad", "m"):
+            raise ValueError(f'counts = "differences" does not fit unit = "{self.unit}", which is a speed')
+        counts = {len(each) for each in (self.topics, self.joints, self.wheels, self.directions) if each}
+        if len(counts) > 1:
+            raise ValueError("topics, joints, wheels and directions must have one entry for each wheel")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeedbackConfig:
+    """Topic of the device that tells how the robot moves, where its type and name do not."""
+
+    topic: str | None = None  # None: recognised; "": none of its topics tells it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VectorConfig:
+    """Topic of type geometry_msgs/Vector3 by which a robot is driven, in m/s and rad/s."""
+
+    topic: str = "cmd"
+    fields: tuple[Literal["x", "y", "yaw", ""], ...] = ("x", "y", "yaw")  # what its x, y and z are; "": always 0
+
+    def __post_init__(self) -> None:
+        used = [each for each in self.fields if each]
+        if len(self.fields) > _COMPONENTS or len(set(used)) < len(used) or not used:
+            raise ValueError('vector.fields must be one to three of "x", "y" and "yaw", for example ["x", "yaw"]')
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JoyConfig:
+    """Topic of type sensor_msgs/Joy by which a robot is driven. Axes and buttons are numbered from 0."""
+
+    topic: str = "joy"
+    x_axis: int = 1  # forwards
+    y_axis: int | None = None  # to the left; None: the robot has no such axis
+    yaw_axis: int | None = 0  # counter-clockwise
+    axes: int = 8  # number of axes that are sent
+    buttons: int = 11
+    button: int | None = None  # pressed while the robot is driven
+
+    def __post_init__(self) -> None:
+        used = [each for each in (self.x_axis, self.y_axis, self.yaw_axis, self.button) if each is not None]
+        if not all(0 <= each < MAX_JOY for each in (*used, self.axes, self.buttons)):
+            raise ValueError(f"axes and buttons of joy must be 0 to {MAX_JOY - 1}")
+        _check_different("axis", {name: getattr(self, name) for name in _JOY_AXES}, "joy")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WordsConfig:
+    """Topic of type std_msgs/String by which a robot is driven, and its words."""
+
+    topic: str
+    forward: str
+    backward: str
+    left: str
+    right: str
+    stop: str
+
+    def __post_init__(self) -> None:
+        if not self.stop:
+            raise ValueError("words.stop must not be empty: it is what stops the robot")
+        if self.stop in (self.forward, self.backward, self.left, self.right):
+            raise ValueError(f"words.stop must differ from the words that move the robot: {self.stop!r}")
+        _check_different("word", {name: getattr(self, name) for name in _DIRECTIONS}, "words")
+
+
+def _check_different(what: str, settings: dict[str, Any], where: str) -> None:
+    """Check that no value is that of two settings.
+
+    Raises:
+        ValueError: a value is that of two settings.
+    """
+    names: dict[Any, str] = {}
+    for name, value in settings.items():
+        if value is not None and names.setdefault(value, name) != name:
+            both = f"{where}.{names[value]} and {where}.{name}"
+            raise ValueError(f"{both} are one {what}, {value!r}: give each its own")
+
+
+_PAIR = 2  # throttle and steering
+_DIRECTIONS = ("forward", "backward", "left", "right")
+_JOY_AXES = ("x_axis", "y_axis", "yaw_axis")
+_COMPONENTS = 3  # of a Vector3
+MAX_WHEELS = 8
+MAX_JOY = 64  # axes and buttons of a Joy
+MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
+
+
+MAX_DEVICES = 8  # of one robot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotConfig:
+    """Device and limits of one robot. The limits apply to every source of commands."""
+
+    address: str | None = None  # peer address or serial port of its device
+    # Instead of an address: its devices, for example motors on one, encoders on another.
+    devices: tuple[str, ...] | None = None
+    command_device: str | None = None  # the one of its devices that is commanded, if several take a velocity
+    uart_bytes_s: int | None = None
+    # The drive (robot/kinematics): it refuses velocities that it cannot have. "": planar, which takes every velocity.
+    # "spatial": all six numbers of a Twist pass; it is not a robot of the plane, but it is stopped and locked.
+    kinematics: Literal[
+        "", "planar", "differential", "skid_steer", "mecanum", "omni3", "omni4", "ackermann", "spatial"
+    ] = ""
+    wheel_radius_m: float | None = None
+    wheel_separation_m: float | None = None  # between left and right wheels
+    separation_factor: float | None = None  # skid_steer: effective separation divided by that of the wheels; None: 1
+    wheelbase_m: float | None = None  # between front and rear axle; None: ackermann has that of a small car
+    max_steering_rad: float | None = None
+    wheel_distance_m: float | None = None  # omni: from the centre to each wheel
+    wheel_angles_deg: tuple[float, ...] | None = None  # omni: place of each wheel, counter-clockwise from the front
+    max_wheel_m_s: float | None = None
+    max_linear_m_s: float = 1.0  # for a small robot; a faster one needs its own setting
+    max_angular_rad_s: float = 4.0
+    max_linear_acceleration_m_s2: float | None = None
+    max_angular_acceleration_rad_s2: float | None = None
+    max_linear_deceleration_m_s2: float | None = None  # None: a stop is immediate
+    max_angular_deceleration_rad_s2: float | None = None
+    odometry_after_restart: Literal["continue", "restart"] = "continue"  # REP 105: an odometry does not jump
+    odom_topic: str | None = None  # topic name: None is the usual name below the robot's, "" disables the topic
+    cmd_vel_topic: str | None = None
+    cmd_vel_stamped_topic: str | None = None  # separate topic, because one topic has one type
+    cmd_vel_max_age_s: float | None = None  # None: clocks differ, so the lease starts at the arrival of the command
+    odom_frame: str | None = None  # None: "<robot>/odom"; Nav2 and rviz use "odom" by default
+    base_frame: str | None = None  # None: "<robot>/base_link"
+    # For a device that keeps its own constants.
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    publish_tf: bool = True  # false if another node publishes the transform between these frames
+    resume_after_reconnect_s: float = 0.0  # a program that continues to command may continue after a shorter absence
+    # What commands the robot; topics are as its device names them. Without any of them it is recognised.
+    command_topic: str | None = None  # a Twist, TwistStamped or AckermannDrive with a name that tells nothing
+    wheels: WheelsConfig | None = None
+    joy: JoyConfig | None = None
+    words: WordsConfig | None = None
+    throttle: ThrottleConfig | None = None
+    vector: VectorConfig | None = None
+    not_commands: tuple[str, ...] = ()  # topics that command no motion, with any name and type
+    locked_topics: tuple[str, ...] = ()  # further topics that a lock refuses, for example of servos
+    stop_service: str | None = None  # std_srvs/Empty or Trigger of the device that is called with each zero
+    # What tells of its motion; without either it is recognised.
+    encoders: EncodersConfig | None = None
+    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
+
+    def __post_init__(self) -> None:
+        names = ("command_topic", "wheels", "joy", "words", "throttle", "vector")
+        ways = {name: getattr(self, name) for name in names}
+        given = [name for name, each in ways.items() if each is not None]
+        if len(given) > 1:
+            raise ValueError(f"{given[0]} and {given[1]} are two ways to command one robot: choose one")
+        if self.throttle is not None and self.kinematics not in ("", "ackermann"):
+            raise ValueError(f'throttle is the command of a car: it does not fit kinematics = "{self.kinematics}"')
+        commands = {self.command_topic} if given == ["command_topic"] else set[str | None]()
+        for name in given:
+            commands |= {getattr(ways[name], "topic", None), *getattr(ways[name], "topics", ())}
+        excluded = sorted(topic for topic in self.not_commands if topic in commands)
+        if excluded:
+            raise ValueError(
+                f"{excluded[0]!r} is the command of the robot and one of not_commands: remove it from one of them"
+            )
+        devices = self.devices or ()
+        if self.devices is not None and not devices:
+            raise ValueError("devices must not be empty: name the robot's boards, or remove the line")
+        if self.address is not None and devices:
+            raise ValueError("address and devices are two ways to say where the robot is: choose one")
+        if len(set(devices)) < len(devices) or len(devices) > MAX_DEVICES:
+            raise ValueError(f"devices must be at most {MAX_DEVICES} different addresses, ports or names")
+        if self.command_device is not None and self.command_device not in devices:
+            raise ValueError(f"command_device {self.command_device!r} must be one of the devices")
+        if self.encoders is not None and self.feedback.topic is not None:
+            raise ValueError("set either encoders or feedback.topic: a robot's motion is known by one of them")
+        if not 0 <= self.resume_after_reconnect_s <= MAX_RESUME_S:
+            raise ValueError(f"resume_after_reconnect_s must be a number from 0 to {MAX_RESUME_S:g}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingConfig:
+    """Folder of recordings, and its limits."""
+
+    folder: Path | None = None  # None: the state folder of a service or of the user
+    max_disk_mb: float = 4096.0  # of all recordings; above it the oldest are removed
+    min_free_disk_mb: float = 256.0  # below it a recording ends, because a full disk harms other programs
+    max_file_mb: float = 512.0  # afterwards a new file is started
+    max_file_s: float = 3600.0
+    fsync: bool = False  # sync each second to the disk: survives a power failure, and wears out SD cards
+    drives: bool = True  # log in this folder who drove which robot, and when
+
+    def __post_init__(self) -> None:
+        if min(self.max_disk_mb, self.max_file_mb, self.max_file_s) <= 0:
+            raise ValueError("max_disk_mb, max_file_mb and max_file_s must be more than zero")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlackBoxConfig:
+    """Black box: the last minutes of every robot, saved after an incident."""
+
+    enabled: bool = True
+    before_s: float = 120.0
+    after_s: float = 30.0
+    max_memory_mb: float = 32.0  # of all robots
+    max_disk_mb: float = 512.0  # of all incidents, in the folder of the recordings; above it the oldest are removed
+
+    def __post_init__(self) -> None:
+        if min(self.before_s, self.max_memory_mb, self.max_disk_mb) <= 0 or self.after_s < 0:
+            raise ValueError("before_s, max_memory_mb and max_disk_mb must be more than zero, after_s not less")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenohConfig:
+    """Zenoh session of the daemon, for the fleet and for ROS 2 over rmw_zenoh's protocol."""
+
+    fleet: bool = True  # share robots with other daemons: show and drive theirs, and offer one's own
+    ros2: bool = False  # join a ROS 2 graph whose nodes use rmw_zenoh
+    ros_domain_id: int = 0
+    ros_distribution: Literal["humble", "iron", "jazzy", "kilted", "lyrical"] = "kilted"  # distribution of those nodes
+    name: str = ""  # name of this daemon in the fleet; empty: the computer's name
+    fleet_name: str = "hostlink"  # first part of every key; daemons with another name form another fleet
+    drivers: tuple[str, ...] = ("*",)  # daemons whose programs may drive this daemon's robots; others may read and stop
+    mode: Literal["peer", "client", "router"] = "peer"
+    connect: tuple[str, ...] = ()  # "tls/10.0.0.2:7447"; without `ca` peers in the local network also find each other
+    # "tls/0.0.0.0:7447"; empty: with `ca` not at all, otherwise a free port on every address.
+    listen: tuple[str, ...] = ()
+    multicast: bool | None = None  # discovery in the local network, never with `ca`; None: only without `ca`
+    gossip: bool | None = None  # connect to daemons that neighbours announce; None: only without `ca`
+    ca: Path | None = None  # PEM; with `certificate` and `key`: only mutual TLS
+    certificate: Path | None = None
+    key: Path | None = None
+    file: Path | None = None  # JSON5 configuration of Zenoh for all other settings: access rules, leases
+
+    def __post_init__(self) -> None:
+        for setting, name in (("name", self.name), ("fleet_name", self.fleet_name)):
+            if name and not re.fullmatch(ZENOH_NAME, name):
+                raise ValueError(f"zenoh.{setting} {name!r} must be made of letters, digits, _, - and .")
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("set zenoh.certificate and zenoh.key together")
+        if self.certificate is not None and self.ca is None:
+            raise ValueError(
+                "zenoh.certificate needs zenoh.ca; without it other daemons are not asked for a certificate"
+            )
+        if not 0 <= self.ros_domain_id <= MAX_ROS_DOMAIN_ID:
+            raise ValueError(f"zenoh.ros_domain_id must be 0 to {MAX_ROS_DOMAIN_ID}")
+        if not self.fleet_name:
+            raise ValueError("zenoh.fleet_name must not be empty")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Config:
+    """All settings of hostlink.toml."""
+
+    tcp: TcpConfig = field(default_factory=TcpConfig)
+    udp: UdpConfig | None = None  # None: no UDP port
+    serial: tuple[SerialConfig, ...] = ()
+    link: LinkConfig = field(default_factory=LinkConfig)
+    api: ApiConfig = field(default_factory=ApiConfig)
+    ros1: Ros1Config = field(default_factory=Ros1Config)
+    robots: dict[str, RobotConfig] = field(default_factory=dict)
+    parameters: dict[str, ParameterValue] = field(default_factory=dict)
+    message_folders: tuple[Path, ...] = ()
+    recording: RecordingConfig = field(default_factory=RecordingConfig)
+    black_box: BlackBoxConfig = field(default_factory=BlackBoxConfig)
+    zenoh: ZenohConfig | None = None  # None: Zenoh is not used and not imported
+    guardian: bool = True  # run a second process that stops the robots when the daemon died or hangs
+
+    def __post_init__(self) -> None:
+        owners = {place: name for name, robot in self.robots.items() for place in robot.devices or ()}
+        for name, robot in self.robots.items():
+            for place in robot.devices or (() if robot.address is None else (robot.address,)):
+                if owners.get(place, name) != name:
+                    both = " and of ".join(sorted((f"robots.{name}", f"robots.{owners[place]}")))
+                    raise ValueError(f"{place} is a device of {both}: remove it from one of them")
+
+
+def load(path: Path) -> Config:
+    """Read and validate a TOML file. Paths in it are relative to its folder.
+
+    Raises:
+        ConfigError: the file cannot be read or a setting is wrong; it names file, key and the nearest known key.
+    """
+    try:
+        data = read_bytes(path, MAX_FILE_BYTES)
+        if len(data) > MAX_FILE_BYTES:
+            raise ConfigError(str(path), f"has more than {MAX_FILE_BYTES} bytes")
+        raw = msgspec.toml.decode(decoded(data))
+    except OSError as error:
+        raise ConfigError(str(path), error.strerror or str(error)) from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(str(path), f"is not TOML: {error}") from error
+    except RecursionError:
+        raise ConfigError(str(path), "is not a settings file: nested too deeply") from None
+    _refuse_unknown_keys(raw, Config, str(path), "")
+
+    def read_path(_: type, value: object) -> Path:  # the one type that msgspec does not know
+        if not isinstance(value, str):
+            raise ValueError(f"a path is a text in quotes, not {value}")  # noqa: TRY004 - msgspec adds the place
+        try:
+            return path.parent / Path(value).expanduser()
+        except RuntimeError as error:  # there is no such user
+            raise ValueError(f"{value!r}: {error}") from error
+
+    try:
+        return msgspec.convert(raw, Config, dec_hook=read_path)
+    except msgspec.ValidationError as error:
+        raise ConfigError(str(path), _named(str(error), raw)) from error
+
+
+def _named(problem: str, raw: Any) -> str:
+    """Return a problem with the name of its robot, of which msgspec tells only that it is one of the robots."""
+    place = "$.robots[...]"
+    if place not in problem:
+        return problem
+    for name, robot in raw["robots"].items():
+        try:
+            msgspec.convert(robot, RobotConfig)
+        except msgspec.ValidationError:
+            return problem.replace(place, f"$.robots.{name}")
+    return problem
+
+
+def is_address(text: str) -> bool:
+    """Whether `text` is a whole IP address."""
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
+
+
+def is_place(text: str) -> bool:
+    """Whether `text` is a whole IP address, or one with a port."""
+    try:
+        _device_address(text)
+    except ValueError:
+        return is_address(text)
+    return True
+
+
+def _device_address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or not 0 < int(port) <= MAX_PORT:
+        raise ValueError(f"udp.devices: {text!r} is not HOST:PORT")
+    return str(ipaddress.ip_address(host.strip("[]"))), int(port)
+
+
+def _is_master(text: str) -> bool:
+    """Whether the text is the URL of a ROS master.
+
+    Raises:
+        ValueError: it is not a URL, or its port is invalid.
+    """
+    url = urllib.parse.urlsplit(text)
+    return url.scheme == "http" and bool(url.hostname) and url.port != 0
+
+
+@functools.cache
+def _hints(part: type) -> dict[str, Any]:
+    """Type hints of a dataclass.
+
+    Cached, because Python compiles them at every call, which 20,000 robots would notice.
+    """
+    return typing.get_type_hints(part)
+
+
+def _refuse_unknown_keys(raw: Any, wanted: Any, file: str, prefix: str) -> None:
+    """Check every key of the tables that the dataclasses describe. An unknown key is an error."""
+    if type(None) in typing.get_args(wanted):
+        wanted = typing.get_args(wanted)[0]
+    if dataclasses.is_dataclass(wanted) and isinstance(raw, dict):
+        hints = _hints(typing.cast("type", wanted))
+        for key, value in raw.items():
+            if key not in hints:
+                near = difflib.get_close_matches(key, hints, n=1)
+                hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(hints))}"
+                raise ConfigError(file, f"unknown key {prefix}{key}; {hint}")
+            _refuse_unknown_keys(value, hints[key], file, f"{prefix}{key}.")
+        return
+    inner = typing.get_args(wanted)
+    if typing.get_origin(wanted) is dict and isinstance(raw, dict):
+        for key, value in raw.items():
+            _refuse_unknown_keys(value, inner[1], file, f"{prefix}{key}.")
+    elif typing.get_origin(wanted) is tuple and isinstance(raw, list):
+        for number, value in enumerate(raw):
+            _refuse_unknown_keys(value, inner[0], file, f"{prefix}{number}.")

@@ -1,0 +1,184 @@
+"""Duplicate of one robot's connection in the guardian's process, and its writing when the daemon is gone."""
+
+import _socket
+import fcntl
+import os
+import select
+import sys
+import termios
+
+from hostlink.core.guardian.frames import UNLIMITED, StopWriter
+
+STALE_BYTES = 128  # one turn of a robot's loop at 38400 baud: the most that the daemon's pacing leaves in a serial port
+READ_BYTES = 65536
+DATAGRAM_BYTES = 1024  # of one write over UDP: no network fragments it
+_GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
+
+
+class GuardedConnection:
+    """Duplicate of a TCP, UDP or serial connection.
+
+    Only the daemon reads and writes before the first `step`, except while it hangs.
+
+    | call              | while the daemon        | writes                      | reads       | closes     |
+    |-------------------|-------------------------|-----------------------------|-------------|------------|
+    | `hold`, repeated  | hangs, and may recover  | zeros                       | nothing     | never      |
+    | `step`, repeated  | is gone                 | zeros, then the end         | everything  | at the end |
+    """
+
+    def __init__(self, descriptor: int, zeros: tuple[bytes, ...], end: bytes, claim_bytes: int) -> None:
+        self.descriptor = descriptor
+        self.is_open = True
+        self._is_serial = os.isatty(descriptor)
+        self._is_udp = not self._is_serial and _is_udp(descriptor)
+        self._part_bytes = UNLIMITED
+        if self._is_udp:  # without a claim, the protocol keeps datagrams: each frame is one
+            self._part_bytes = DATAGRAM_BYTES if claim_bytes else 0
+        if self._is_udp and claim_bytes <= DATAGRAM_BYTES:
+            claim_bytes = 0  # such a frame was sent as one datagram, whole or not at all
+        self._zeros, self._claim_bytes = zeros, claim_bytes
+        self._writer = StopWriter(zeros, claim_bytes, end, part_bytes=self._part_bytes)
+        self._holding = self._writer  # used by `hold`
+        self._is_readable = True  # until the end of the stream was read
+        self._is_begun = self._is_finished = False
+
+    def close(self) -> None:
+        """Close the duplicate. The daemon's descriptor of the same connection is not affected."""
+        if self.is_open:
+            self.is_open = False
+            try:  # noqa: SIM105 - contextlib is a large import
+                os.close(self.descriptor)
+            except OSError:
+                pass  # the port was removed; the descriptor is closed all the same
+
+    def begin_hold(self) -> None:
+        """Start the zeros for a daemon that hangs."""
+        self._holding = StopWriter(self._zeros, self._claim_bytes, part_bytes=self._part_bytes)
+
+    def hold(self, now_s: float) -> float | None:
+        """Write the zeros that are due `now_s` after `begin_hold`, as far as there is room. Return when to call again.
+
+        None: nothing is left to write, or an error occurred, which is left to the daemon.
+        """
+        try:
+            self._write(self._holding, now_s)
+        except OSError:
+            return None
+        return now_s if self._holding.has_waiting else self._holding.next_s()
+
+    def events(self, now_s: float) -> int:
+        """Events for which poll() should wait."""
+        wanted = select.POLLIN if self._is_readable else 0
+        return wanted | select.POLLOUT if self._writer.pop_due(now_s) else wanted
+
+    def next_s(self) -> float | None:
+        """Time of the next write; None if none is left."""
+        return self._writer.next_s()
+
+    def step(self, events: int, now_s: float) -> None:
+        """Write what is due and discard received bytes. An error closes only this connection."""
+        try:
+            if not self._is_begun:
+                self._begin()
+            if events & _GONE and not events & select.POLLIN and not self._is_udp:
+                self.close()
+                return
+            self._write(self._writer, now_s)
+            if events & (select.POLLIN | _GONE):
+                self._discard()
+            if self.is_open and self._writer.is_done():
+                self._finish()
+        except (OSError, termios.error):  # termios.error is not an OSError
+            self.close()
+
+    def abandon(self) -> None:
+        """Close at the end of the time. Discard unsent bytes of a serial port, because close() would wait for them."""
+        try:
+            if self.is_open and self._is_serial:
+                termios.tcflush(self.descriptor, termios.TCOFLUSH)
+        except termios.error:
+            self.close()
+        self.close()
+
+    def _begin(self) -> None:
+        """Take over the connection, because the daemon is gone."""
+        self._is_begun = True
+        os.set_blocking(self.descriptor, False)
+        if self._is_serial and self._unsent_bytes() > STALE_BYTES:  # old commands would take too long
+            termios.tcflush(self.descriptor, termios.TCOFLUSH)
+
+    def _write(self, writer: StopWriter, now_s: float) -> None:
+        try:
+            while waiting := writer.pop_due(now_s):
+                writer.written(self._send(waiting) if self._is_udp else os.write(self.descriptor, waiting))
+        except BlockingIOError:
+            return  # poll() reports when there is room
+
+    def _send(self, waiting: bytes) -> int:
+        """Send one datagram. An error may belong to an earlier one, so try twice, then count it as lost."""
+        datagram = waiting[:DATAGRAM_BYTES]
+        for _ in range(2):
+            try:
+                return os.write(self.descriptor, datagram)
+            except BlockingIOError:
+                raise
+            except OSError:
+                continue
+        return len(datagram)
+
+    def _discard(self) -> None:
+        """Discard received bytes.
+
+        A device may block while its bytes are not read, and closing a TCP connection with unread bytes resets it.
+        """
+        try:
+            received = os.read(self.descriptor, READ_BYTES)
+        except OSError as error:
+            if self._is_udp or isinstance(error, BlockingIOError):
+                return  # an error may belong to an earlier datagram
+            raise
+        self._is_readable = bool(received) or self._is_udp  # an empty datagram does not end it
+        if self._is_serial and not self._is_readable:
+            self.close()  # the serial device hung up
+
+    def _finish(self) -> None:
+        """Close after the last write: a serial port when all bytes are sent, a TCP connection when the peer closes."""
+        if self._is_udp:
+            self.close()
+            return
+        if self._is_serial:
+            if not self._unsent_bytes():
+                self.close()
+            return
+        if not self._is_finished:
+            self._is_finished = True
+            _end_sending(self.descriptor)
+        if not self._is_readable:
+            self.close()
+
+    def _unsent_bytes(self) -> int:
+        """Number of unsent bytes of a serial port; 0 where the driver does not report it."""
+        try:
+            count = fcntl.ioctl(self.descriptor, termios.TIOCOUTQ, bytes(4))
+        except OSError:
+            return 0
+        return int.from_bytes(count, sys.byteorder)
+
+
+def _is_udp(descriptor: int) -> bool:
+    try:
+        connection = _socket.socket(fileno=descriptor)
+    except OSError:
+        return False
+    kind = connection.type
+    connection.detach()
+    return kind == _socket.SOCK_DGRAM
+
+
+def _end_sending(descriptor: int) -> None:
+    """Shut down sending, so that the peer reads everything that was written and then the end."""
+    connection = _socket.socket(fileno=descriptor)
+    try:
+        connection.shutdown(_socket.SHUT_WR)
+    finally:
+        connection.detach()

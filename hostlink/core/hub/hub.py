@@ -1,0 +1,216 @@
+"""Hub: the parts that devices and participants share. The hub runs them, and stops every robot at the daemon's end."""
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+from weakref import WeakValueDictionary
+
+import structlog
+
+from hostlink.core.config import Config
+from hostlink.core.hub.byte_budget import ByteBudget
+from hostlink.core.hub.diagnoses import Diagnoses
+from hostlink.core.hub.diagnostics_topic import DiagnosticsTopic
+from hostlink.core.hub.gates import Gates, Guard
+from hostlink.core.hub.graph_changes import GraphChanges, GraphKind
+from hostlink.core.hub.graph_view import GraphView
+from hostlink.core.hub.isolation import Isolation
+from hostlink.core.hub.links import Links, addresses_of, commands_by_name
+from hostlink.core.hub.message import PROGRAM_PRIORITY
+from hostlink.core.hub.node import Node, Role
+from hostlink.core.hub.participant import Participant
+from hostlink.core.hub.robot import limits_of
+from hostlink.core.hub.robot_events import RobotEvents
+from hostlink.core.hub.robot_topic_publisher import RobotTopicPublisher
+from hostlink.core.hub.robots import Robots
+from hostlink.core.hub.rosout import Rosout
+from hostlink.core.hub.services import Services
+from hostlink.core.hub.standstills import LockServices, Standstills
+from hostlink.core.hub.topic_graph import TopicGraph
+from hostlink.core.link.fair_share import FairShare, Turns
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.robot.names import Places
+from hostlink.core.runtime.logs import log_what_is_missing
+from hostlink.core.runtime.loop_time import loop_time_s
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Counters of listeners, clients and graphs, which write into it."""
+
+    refused: Counter[str] = field(default_factory=Counter)  # refused and evicted connections, by cause
+    datagrams_dropped: Counter[str] = field(default_factory=Counter)  # UDP datagrams in both directions, by cause
+    velocities_replaced: Counter[str] = field(default_factory=Counter)  # by newer ones, by kind of client
+    graphs: dict[str, Callable[[], Mapping[str, int]]] = field(default_factory=dict)  # counters of each connected graph
+
+
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """Addresses of the listening sockets; None if it does not listen."""
+
+    tcp: tuple[str, int] | None = None
+    udp: tuple[str, int] | None = None
+
+
+DAEMON = "hostlink"  # name of the daemon's own participants in the graph
+STOP_REPEATS = 3  # a single stop can be lost on a radio
+STOP_INTERVAL_S = 0.05
+SHUTDOWN_TIMEOUT_S = 0.5
+LOG_INTERVAL_S = 10.0  # between two lines about dropped log lines
+
+
+class Hub:
+    """Everything that is connected. Methods are synchronous, so each is atomic; only services wait.
+
+    `reraises` is for tests: a crash of one link ends the hub. Otherwise it is logged and counted.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        catalog: Catalog,
+        *,
+        reraises: bool = False,
+        guard: Guard | None = None,
+        slept_s: Callable[[], float] = lambda: 0.0,
+        computed_s: Callable[[], float] = loop_time_s,
+    ) -> None:
+        """Connect nothing yet.
+
+        `slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out.
+        `computed_s` returns the CPU time of the event loop's thread, without the time for which it waited for a core.
+        """
+        self.config, self.catalog = config, catalog
+        self.is_running = asyncio.Event()  # `spawn` works when it is set
+        self.counts = Counts()
+        self.listening = Listening()  # set by the listeners
+        self.parameters = dict(config.parameters)  # parameters for devices; clients may change them
+        self.isolation = Isolation(reraises=reraises)
+        self.changes = GraphChanges(computed_s)
+        self.budget = ByteBudget()
+        self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes the topics of robots that have names of ROS
+        self.topics = TopicGraph(catalog, self.changes, self.budget)
+        self.services = Services(catalog, self.changes)
+        self._views: WeakValueDictionary[str, GraphView] = (
+            WeakValueDictionary()
+        )  # by group, while participants use them
+        self.events = RobotEvents()
+        self.slept_s = slept_s
+        self.gates = Gates(self.isolation, guard, self.events, slept_s=slept_s)
+        self.share = FairShare(self.gates.came_s)  # of the event loop, for links and participants
+        self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses, catalog.least_bytes, slept_s)
+        self.robots = Robots(self)
+        self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
+        self.standstills = Standstills()
+        self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
+        self.rosout = Rosout(self.join_daemon())
+        self.links = Links(self)
+        self._tasks: asyncio.TaskGroup | None = None
+
+    async def run(self) -> None:
+        """Serve until cancelled. This task is the parent of every spawned one."""
+        async with asyncio.TaskGroup() as self._tasks:
+            self.spawn(self.diagnoses.run(), name="diagnoses")
+            self.spawn(self.robots.run(), name="known robots")
+            self.spawn(DiagnosticsTopic(self).run(), name="diagnostics")
+            self.spawn(_log_what_is_missing(), name="log")
+            self.is_running.set()
+            await self.gates.run()
+
+    def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> None:
+        """Run work at most as long as the hub. A crash ends only this work."""
+        if self._tasks is None:
+            raise RuntimeError("the hub does not run yet")
+        task = self._tasks.create_task(self._isolated(work, name), name=name)
+        task.add_done_callback(lambda _: work.close())  # a task that is cancelled before its first turn never awaits it
+
+    async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
+        with self.isolation.around("task", task=name):
+            await work
+
+    def view(self, group: str) -> GraphView:
+        """Return the view of the graph for all participants of one group."""
+        view = self._views.get(group)
+        if view is None:
+            view = self._views[group] = GraphView(self.topics, self.services, self.changes, group)
+        return view
+
+    def turns(self) -> Turns:
+        """Create the share of one more link or participant in the event loop."""
+        return Turns(self.share)
+
+    def reconfigure(self, config: Config, places: Places) -> dict[str, str]:
+        """Change names and limits of robots. Return the new names of connected robots by their old ones.
+
+        `places` are from `places_of` with the same settings.
+
+        Raises:
+            ReloadRefused: a robot that is driven or locked would have another name; nothing has changed.
+        """
+        self.links.check(places)
+        self.config = config
+        self.robots.reconfigure(config.robots)
+        return self.links.reconfigure(places, commands_by_name(config))
+
+    # -- participants -------------------------------------------------------------------------------------------------
+
+    def join(
+        self,
+        name: str,
+        *,
+        role: Role = Role.DRIVE,
+        priority: int = PROGRAM_PRIORITY,
+        group: str = "",
+        on_end: Callable[[], None] = lambda: None,
+    ) -> Participant:
+        """Create the participant of a program. `on_end` is called when a failure of its callbacks ends it.
+
+        `group` is the bridge to another graph, such as ROS 2, to which it belongs. The group does not receive its own
+        messages.
+        """
+        return Participant(self, name, role=role, priority=priority, group=group, on_end=on_end)
+
+    def join_daemon(self, *, group: str = "") -> Participant:
+        """Create a participant of the daemon, which no failure of its callbacks ends. `group` is as for `join`."""
+        return Participant(self, DAEMON, is_daemon=True, group=group)
+
+    async def shutdown(self) -> None:
+        """Stop every robot, request silence of every device, end every link, within SHUTDOWN_TIMEOUT_S.
+
+        Commands are refused from the start, so that the last velocity to each robot is zero.
+        """
+        self.gates.refuse_all()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
+                for _ in range(STOP_REPEATS if self.robots.drivables() else 0):
+                    self.gates.stop_at_once(self.robots.drivables())
+                    await asyncio.sleep(STOP_INTERVAL_S)
+                await self.links.silence()
+        self.links.end_all()
+
+    def note_robot(self, name: str) -> None:
+        """Note that a robot of this name connected, disconnected or was forgotten."""
+        self.changes.note(GraphKind.ROBOT, name)
+        self._lock_services.update(name)
+
+
+def places_of(config: Config) -> Places:
+    """Return the configured addresses of robots, and check their limits. With thousands of robots, call it in a thread.
+
+    Raises:
+        ConfigError: limits of a robot cannot be kept.
+    """
+    for robot in config.robots.values():
+        limits_of(robot)
+    return Places(addresses_of(config), {name: robot.devices for name, robot in config.robots.items() if robot.devices})
+
+
+async def _log_what_is_missing() -> None:
+    while True:
+        await asyncio.sleep(LOG_INTERVAL_S)
+        log_what_is_missing()

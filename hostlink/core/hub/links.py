@@ -1,0 +1,502 @@
+"""Links: the connections of all devices: opened and served, identified as robots, and removed from the graph."""
+
+import asyncio
+import contextlib
+import dataclasses
+import functools
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import structlog
+from structlog.contextvars import bind_contextvars, unbind_contextvars
+
+from hostlink.core.config import Config, LinkConfig
+from hostlink.core.hub.device import Device, ShownNames
+from hostlink.core.hub.device_calls import DeviceCalls
+from hostlink.core.hub.parameters import ParameterAnswers, ParameterSource
+from hostlink.core.hub.robot import LocalRobot, command_settings
+from hostlink.core.hub.robot_events import EventKind
+from hostlink.core.link.capture_buffer import CaptureRoom
+from hostlink.core.link.link import Link
+from hostlink.core.link.serving import Authenticate, LinkEnd, trust
+from hostlink.core.protocol import events
+from hostlink.core.protocol.session import DeviceProtocol
+from hostlink.core.robot.model import CommandSettings, RobotTopicNames, namespace_of
+from hostlink.core.robot.names import Accepted, Directory, Origin, Places, Remembered, Undecided
+from hostlink.core.runtime.logs import of_peer, printable
+from hostlink.core.transport.base import Transport
+from hostlink.errors import ConfigError, HostlinkError, ReloadRefused
+
+if TYPE_CHECKING:
+    from hostlink.core.hub.hub import Hub
+
+log = structlog.get_logger()
+
+SILENCE_TIMEOUT_S = 0.5  # for the request for silence before a link ends
+UNGUARDED = "unguarded_command"  # code of the finding
+MAX_TEXT = 500  # characters of a warning: a device has many topics with long names
+END_S = 0.0005  # CPU time for removing a device from the graph
+DECIDE_INTERVAL_S = 0.05  # a robot sends every 0.1 s
+
+
+class Links:
+    """Opens, serves and ends the links, and answers what devices request: services, parameters, the time.
+
+    `Directory` decides which robot a device is. This class carries the decision out. `Robots.devices` has the `Device`
+    of each live link; events of a link that was replaced are ignored.
+    """
+
+    def __init__(self, hub: "Hub") -> None:
+        self.parameter_source: ParameterSource | None = None  # for parameters that are not set here
+        self.wall_ns: Callable[[], int] = time.time_ns  # time in answers to devices
+        self.undelivered = 0  # dropped messages of devices that were not identified yet
+        self.late_answers = 0  # answers of devices' services after the timeout of the call
+        self.on_named: Callable[[], None] = lambda: None  # called when a robot has its name
+        self._hub, self._devices = hub, hub.robots.devices
+        self._directory = Directory(addresses_of(hub.config), commands_by_name(hub.config))
+        self._ends = hub.turns()
+        self.calls = DeviceCalls(hub, give_up=self._give_up, name_of=self._service_name)
+        # What every session and link gets, made once.
+        self._capture_room = CaptureRoom()
+        self._react, self._wall_ns, self._pauses = self.react, self._read_wall_ns, hub.gates.pauses
+        self._parameters = ParameterAnswers(hub.parameters, lambda: self.parameter_source, hub.spawn)
+        self._reactions: dict[type[Any], Callable[[Device, Any], None]] = {
+            events.TopicsNegotiated: self._announce,
+            events.TopicRefused: _log_refused_topic,
+            events.TopicsRequested: _note_request,
+            events.TopicsAnswered: _note_answer,
+            events.ServiceRequested: lambda device, event: self.calls.accept(device.link, event),
+            events.ServiceResponded: self._pass_answer,
+            events.ParameterRequested: self._answer_parameter,
+            events.DeviceLogged: self._log_line,
+            events.VersionRefused: _log_version,
+        }
+
+    # -- connections --------------------------------------------------------------------------------------------------
+
+    def open(self, transport: Transport, protocol: DeviceProtocol, link_config: LinkConfig | None = None) -> Link:
+        """Create the link of one connection, whose device speaks this protocol. `serve` must follow."""
+        hub = self._hub
+        config = hub.config.link if link_config is None else link_config
+        session = protocol.session(
+            hub.catalog,
+            uart_bytes_s=self._uart_bytes_s(transport, config),
+            max_topics=config.max_topics,
+            is_lossy=transport.kind == "udp",
+        )
+        link = Link(
+            transport,
+            session,
+            config,
+            number=hub.robots.new_number(),
+            on_event=self._react,
+            share=hub.share,
+            room=self._capture_room,
+            wall_ns=self._wall_ns,
+            pauses=self._pauses,
+        )
+        self._devices[link.number] = Device(link, hub.diagnoses.begin(link), self._directory.presence(link.number), hub)
+        self._capture_room.divide(len(self._devices))
+        return link
+
+    async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
+        """Serve a link to its end. The protocol begins when `authenticate` returns."""
+        hub, end = self._hub, LinkEnd.CRASHED
+        bound = {"link": link.number, "peer": printable(link.peer), **of_peer(link.address)}
+        bind_contextvars(**bound)  # `bound_contextvars` would keep a generator for each link
+        try:
+            log.info("link.opened")
+            hub.events.note(EventKind.LINK_OPENED, "", link=link.number, peer=link.peer)
+            try:
+                with hub.isolation.around("link"):  # a bug in one link must not stop another robot
+                    end = await link.run(authenticate)
+                    await self._ends.wait(END_S, is_flooding=True)  # many links that end at once are removed one by one
+            except asyncio.CancelledError:
+                end = LinkEnd.STOPPED
+                raise
+            finally:
+                with hub.isolation.around("link"):
+                    played = self._played_robot(link)
+                    self._forget(link)
+                    if played is not None:
+                        hub.robots.forget_played(played)
+                    self.calls.leave(link)
+                    hub.diagnoses.finish(link, end)
+                hub.events.note(EventKind.LINK_CLOSED, "", link=link.number, peer=link.peer, reason=end.value)
+                facts = dataclasses.asdict(link.facts())
+                log.info("link.closed", reason=end.value, **facts.pop("counts"), **facts)
+        finally:
+            unbind_contextvars(*bound)
+        return end
+
+    def all(self) -> list[Link]:
+        """Return the live links, oldest first."""
+        return [device.link for device in self._devices.values()]
+
+    async def silence(self) -> None:
+        """Send every device the request for silence. Return when all were sent."""
+        await _silence(self.all())
+
+    def end_all(self) -> None:
+        """End every link, because the daemon ends."""
+        for link in self.all():
+            link.end(LinkEnd.STOPPED)
+
+    def shown_name(self, link: Link, name: str) -> str:
+        """Return the name in the graph of a device's topic, service or parameter."""
+        device = self._devices.get(link.number)
+        return name if device is None else device.shown.of(name)
+
+    def _read_wall_ns(self) -> int:
+        return self.wall_ns()
+
+    def _uart_bytes_s(self, transport: Transport, config: LinkConfig) -> int | None:
+        here = (transport.peer, transport.address)
+        rates = (robot.uart_bytes_s for robot in self._hub.config.robots.values() if robot.address in here)
+        return next((rate for rate in rates if rate is not None), config.uart_bytes_s)
+
+    async def _give_up(self, link: Link) -> None:
+        """Stop a device that waits for an answer that does not fit its buffer, and end its link."""
+        device = self._devices.get(link.number)
+        self._hub.gates.stop_at_once([] if device is None else device.drivables)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(SILENCE_TIMEOUT_S):
+                await _silence([link])
+        link.end(LinkEnd.UNANSWERABLE)
+
+    def _service_name(self, link: Link, name: str) -> str:
+        """Return the service in the robot's namespace if it exists; else the announced name."""
+        shown = self.shown_name(link, name)
+        return shown if self._hub.services.is_offered(shown) else name
+
+    # -- events of sessions -------------------------------------------------------------------------------------------
+
+    def react(self, link: Link, event: events.Event) -> None:
+        """React to an event of a live link."""
+        device = self._devices.get(link.number)
+        if device is None:
+            return
+        device.presence.note_read(link.received_at_s)
+        if not isinstance(event, events.MessageReceived):
+            self._hub.diagnoses.note(device.diagnosis, event)
+            reaction = self._reactions.get(type(event))
+            if reaction is not None:  # otherwise the session alone has reacted
+                reaction(device, event)
+        elif device.is_undecided:
+            self.undelivered += device.early.add(event, (link.received_at_s, link.came_s))
+        elif not self._hub.gates.is_closed:
+            device.receive(event)
+
+    def _announce(self, device: Device, event: events.TopicsNegotiated) -> None:
+        log.info("topics.negotiated", count=len(event.topics), gap_at=event.gap_at, is_changed=event.is_changed)
+        if event.is_changed:
+            device.link.last_frame = b""  # its id may belong to another topic now
+            device.infos = event.topics
+            self._identify(device)
+        else:
+            device.announced_again()
+
+    def _log_line(self, device: Device, event: events.DeviceLogged) -> None:
+        robot, link = device.robot, device.link
+        name = "" if robot is None else robot.name
+        self._hub.events.note(EventKind.LOGGED, name, link=link.number, level=event.level, text=event.text)
+        self._hub.rosout.log(name or link.peer, event)
+
+    def _answer_parameter(self, device: Device, event: events.ParameterRequested) -> None:
+        shown = device.shown.of(event.name)
+        self._parameters.answer(device.link, event.name, shown, functools.partial(device.note_parameter, shown))
+
+    def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
+        service = device.services.get(event.service.name)
+        is_answered = service is not None and service.answered(event.payload)
+        if not is_answered and event.service.name != device.settings.stop_service:  # no call waits for those of zeros
+            self.late_answers += 1
+            log.warning("service.late", service=printable(event.service.name))
+
+    # -- which robot a device is --------------------------------------------------------------------------------------
+
+    @property
+    def remembered(self) -> dict[str, Remembered]:
+        """Names like robot_0 and their owners, for the next start of the daemon."""
+        return dict(self._directory.remembered)
+
+    def remember(self, remembered: Mapping[str, Remembered]) -> None:
+        """Remember owners of names from before this start."""
+        self._directory.remember(remembered)
+
+    def forget_robot(self, robot: LocalRobot) -> None:
+        """Forget a robot that has been disconnected for long."""
+        self._directory.forget(robot.name)
+        self._hub.robot_topics.forget(robot)
+
+    def check(self, places: Places) -> None:
+        """Check whether robots may be named by these places.
+
+        Raises:
+            ReloadRefused: a robot that is driven or locked would have another name.
+        """
+        for name in self._directory.misplaced(places):
+            robot = self._hub.robots.get_here(name)
+            if robot is None:
+                continue
+            if any(drivable.gate.is_driven for drivable in robot.beside):
+                raise ReloadRefused(f"{name} is driven: stop it before its name changes")
+            if robot.gate.lock_reason is not None:
+                raise ReloadRefused(f"{name} is locked: unlock it before its name changes")
+
+    def reconfigure(self, places: Places, settings: Mapping[str, CommandSettings]) -> dict[str, str]:
+        """Replace the configured addresses and commands of robots.
+
+        Return the new names of connected robots by their old ones.
+        """
+        misplaced = self._directory.reconfigure(places, settings)
+        links = {name: link for name, link in misplaced.items() if link is not None}
+        touched = {*links.values(), *self._commanded_otherwise()}
+        for link in touched:
+            self._leave_graph(self._devices[link])
+        for name in misplaced:
+            self._hub.robots.forget(name)
+        for link in touched:
+            self._identify(self._devices[link])
+        found = {name: self._devices[link].robot for name, link in links.items()}
+        return {name: robot.name for name, robot in found.items() if robot is not None}
+
+    def _commanded_otherwise(self) -> list[int]:
+        """Return the links of devices whose commands have other settings than they were identified with."""
+        found = []
+        for number, device in self._devices.items():
+            link = device.link
+            settings = self._directory.find(device.endpoints, Origin("", link.address, link.peer))[1]
+            if device.infos and settings != device.settings:
+                found.append(number)
+        return found
+
+    def _forget(self, link: Link) -> None:
+        """Remove the device of a link that ended or was replaced."""
+        device = self._devices.pop(link.number, None)
+        self._capture_room.divide(len(self._devices))
+        if device is not None:
+            self.undelivered += len(device.early)
+            self._leave_graph(device)
+            self._hub.gates.release(link)  # the device may have driven another one
+            self._directory.leave(link.number)
+
+    def _played_robot(self, link: Link) -> LocalRobot | None:
+        """Return the robot of a link on which a recording is played; None for a device, or after a replacement."""
+        device = self._devices.get(link.number)
+        return device.robot if device is not None and device.diagnosis.is_played else None
+
+    def _identify(self, device: Device) -> None:
+        """Identify a device: accept it, refuse it, or wait for the Directory to decide."""
+        link, infos = device.link, device.infos
+        claim = self._directory.claim(
+            link.number,
+            link.address,
+            device.endpoints,
+            now_s=asyncio.get_running_loop().time(),
+            peer=link.peer,
+            announced=infos,
+        )
+        if isinstance(claim, Undecided):
+            self._wait(device, claim)
+        elif claim.robot is not None and not self._hub.robots.make_room(claim.robot.name):
+            self._refuse(link, claim.robot.name)
+        else:
+            self._accept(device, claim)
+
+    def _wait(self, device: Device, claim: Undecided) -> None:
+        """Request the topics of other links that may be the same device, and identify this one again soon."""
+        for number in claim.probe:
+            rival = self._devices[number].link
+            rival.session.probe()
+            rival.wake()
+        if not device.is_undecided:
+            device.is_undecided = True
+            self._leave_graph(device)
+            device.stand()
+            self._hub.spawn(self._decide(device), name=f"identity of link {device.link.number}")
+
+    async def _decide(self, device: Device) -> None:
+        while device.is_undecided:
+            await asyncio.sleep(DECIDE_INTERVAL_S)
+            if self._devices.get(device.link.number) is not device:
+                return
+            self._identify(device)
+
+    def _refuse(self, link: Link, name: str) -> None:
+        self._directory.leave(link.number)
+        self._directory.forget(name)
+        log.warning("link.refused", reason="too many robots are known: unlock those that are locked and not there")
+        link.end(LinkEnd.REFUSED)
+
+    def _accept(self, device: Device, claim: Accepted) -> None:
+        """Put a device into the graph, as its robot if it has one."""
+        if claim.replaces is not None:
+            self._replace(claim.replaces)
+        joined = {each.robot for each in (device.member, claim.member) if each is not None}
+        device.settings, device.member = claim.settings, claim.member
+        device.refused_settings = ""
+        touched, before = device.names, device.robot
+        changed = [] if before is None else [before]
+        robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
+        if robot is None:
+            self._hub.robots.vanish(device)
+            device.announce(device.infos, ShownNames())
+        else:
+            changed.append(robot)
+        device.is_undecided = False
+        changed += self._regroup(joined)
+        self._hub.robot_topics.update(changed, touched | device.names)
+        self._log_name(device, claim)
+        self.on_named()
+        self._log_unguarded(device)
+        for message, read in device.early.pop_all():
+            device.receive(message, read)
+
+    def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> LocalRobot | None:
+        """Return the device's robot; None if the settings of its command do not fit the device's topics."""
+        before, robots = device.robot, self._hub.robots
+        own = dataclasses.replace(names, name=claim.own_name)
+        shown = ShownNames(own, names.name)
+        try:
+            robot = robots.appear(names.name, own, shown.of_robot(own), device)
+        except ConfigError as error:
+            log.warning("robot.settings_refused", robot=names.name, reason=str(error))
+            device.refused_settings = str(error)
+            return None
+        self._displace(robot)
+        device.announce(device.infos, shown, robot)
+        if not claim.is_certain and before is not robot and robot.gate.lock_reason is None:
+            other = robots.locked_likewise(robot)
+            if other is not None:
+                with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
+                    reason = f"it may be {other.name}: {other.gate.lock_reason}"
+                    robot.lock(reason, by=other.gate.admission.locked_by)
+        return robot
+
+    def _displace(self, robot: LocalRobot) -> None:
+        """Remove other devices from the robot's own topics if they have another type.
+
+        Another robot keeps a topic of its own, unless it is this robot's velocity topic.
+        """
+        for name, type_name in robot.shown.own.items():
+            for key in self._hub.topics.devices_against(name, type_name):
+                device = self._hub.robots.device(key)
+                other = None if device is None else device.robot
+                is_command = name in {topic.name for topic in robot.shown.commands}
+                is_own = other is not None and name in other.shown.own and not is_command
+                if device is not None and other is not robot and not is_own:
+                    device.displace(name, type_name, other)
+
+    def _log_name(self, device: Device, claim: Accepted) -> None:
+        """Note names for the diagnosis, which distinguishes a reboot from another board. Log a numbered name."""
+        name = "" if claim.robot is None else claim.robot.name
+        device.diagnosis.robot = name
+        device.diagnosis.own_name = claim.own_name if claim.is_numbered else ""
+        if claim.is_numbered:
+            log.warning(
+                "robot.numbered",
+                robot=name,
+                own_name=claim.own_name,
+                advice=f'choose its name in hostlink.toml: [robots.NAME] address = "{printable(device.link.address)}"',
+            )
+
+    def _log_unguarded(self, device: Device) -> None:
+        """Note for the diagnosis what nothing guards, and which settings do not fit. Log what is new."""
+        noted, before = dict[str, str](), device.diagnosis.noted
+        if device.refused_settings:
+            noted["settings_refused"] = device.refused_settings
+        if device.unguarded:
+            topics = ", ".join(f"{device.shown.of(info.name)} ({info.type})" for info in device.unguarded)
+            noted[UNGUARDED] = f"{topics}\n{device.suggestion}"
+            if noted[UNGUARDED] != before.get(UNGUARDED):
+                log.warning(
+                    "device.unguarded_command",
+                    topics=printable(topics, MAX_TEXT),
+                    advice=f"in hostlink.toml: {printable(device.suggestion, MAX_TEXT)}",
+                )
+        device.diagnosis.noted = noted
+
+    def origin_of(self, device: Device) -> tuple[str, str | None]:
+        """Return the source of the name of a device's robot, and the robot whose settings apply to the device.
+
+        The first is empty if it is not a robot.
+        """
+        link = device.link
+        origin, configured = Origin("", link.address, link.peer), self._hub.config.robots
+        found, chosen = self._directory.explain(device.endpoints, origin)
+        robot = device.robot
+        settings = chosen if chosen is not None else robot.name if robot and robot.name in configured else None
+        if robot is None:
+            return "", settings
+        own = "" if found is None else found.name
+        if chosen == robot.name:
+            return f"[robots.{chosen}] in hostlink.toml", settings
+        if own and robot.name == own:
+            command = robot.topics.velocity
+            return f"the {'namespace' if namespace_of(command) else 'name'} of its command {command}", settings
+        if own:
+            return f"its command {robot.topics.velocity}, with a number: another device has the name {own}", settings
+        return (
+            f"a number, which is kept for {link.address}: its command {robot.topics.velocity} tells no name",
+            settings,
+        )
+
+    def _replace(self, number: int) -> None:
+        """End the old link of a device that reconnected. Its last frame is a zero if it is a robot's."""
+        old = self._devices.get(number)
+        if old is not None:
+            self._forget(old.link)
+            old.link.end(LinkEnd.REPLACED)
+
+    def _leave_graph(self, device: Device) -> None:
+        touched, robot = device.names, self._hub.robots.vanish(device)
+        device.leave()
+        member, device.member = device.member, None
+        changed = self._regroup(() if member is None else (member.robot,))
+        if robot is not None and robot not in changed:
+            changed.append(robot)
+        if changed or touched:
+            self._hub.robot_topics.update(changed, touched)
+
+    def _regroup(self, names: Iterable[str]) -> list[LocalRobot]:
+        """Find the parts of robots of several devices anew. Return these robots."""
+        found = (self._hub.robots.regroup(name) for name in names)
+        return [robot for robot in found if robot is not None]
+
+
+def commands_by_name(config: Config) -> dict[str, CommandSettings]:
+    """Return what the settings say of robots' commands, by name of the robot."""
+    return {name: command_settings(robot) for name, robot in config.robots.items()}
+
+
+def addresses_of(config: Config) -> dict[str, str | None]:
+    """Return the configured addresses of robots, by name."""
+    return {name: robot.address for name, robot in config.robots.items()}
+
+
+async def _silence(links: list[Link]) -> None:
+    for link in links:
+        link.session.stop()
+        link.wake()
+    for link in links:
+        await link.drained()
+
+
+def _log_refused_topic(_: Device, event: events.TopicRefused) -> None:
+    log.warning("topic.refused", topic=printable(event.topic.name), reason=str(event.reason))
+
+
+def _note_request(device: Device, event: events.TopicsRequested) -> None:
+    device.presence.note_asked(asyncio.get_running_loop().time())
+    log.debug("topics.requested", reason=event.reason)
+
+
+def _note_answer(device: Device, event: events.TopicsAnswered) -> None:
+    device.presence.note_answered(event.asked_at_s, device.link.received_at_s)
+
+
+def _log_version(_: Device, event: events.VersionRefused) -> None:
+    name = f"protocol.{event.version}"
+    log.error(name, advice=event.advice)

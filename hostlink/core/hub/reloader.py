@@ -1,0 +1,172 @@
+"""Reloader: reads the settings again, and applies all that can change without a restart, or nothing."""
+
+import asyncio
+import contextlib
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import structlog
+
+from hostlink.core.config import Config, RobotConfig
+from hostlink.core.hub.hub import Hub, places_of
+from hostlink.core.hub.robot import LIMITS
+from hostlink.core.robot.kinematics import SETTINGS
+from hostlink.core.runtime.detached import DetachedThread
+from hostlink.errors import HostlinkError, ReloadRefused
+
+log = structlog.get_logger()
+
+ROBOT = ("address", "devices", "command_device", "kinematics", "wheel_radius_m", *SETTINGS, *LIMITS)
+API = ("tokens", "origins")
+
+
+class Change(NamedTuple):
+    """Applicable settings, names of changed settings, and names of settings that need a restart."""
+
+    config: Config
+    changed: tuple[str, ...]
+    needs_restart: tuple[str, ...]
+
+
+def change(old: Config, new: Config) -> Change:
+    """Return the settings of `new` that a daemon with `old` can apply at once."""
+    names = {**old.robots, **new.robots}
+    robots = {name: _robot(old, new, name) for name in names}
+    kept = {name: robot for name, robot in robots.items() if name in new.robots or robot != RobotConfig()}
+    api = dataclasses.replace(old.api, **{name: getattr(new.api, name) for name in API})
+    config = dataclasses.replace(old, robots=kept, api=api)
+    old, between, new = (_with_robots(each, names) for each in (old, config, new))
+    return Change(config, tuple(_differences(old, between)), tuple(_differences(between, new)))
+
+
+def _robot(old: Config, new: Config, name: str) -> RobotConfig:
+    wanted = new.robots.get(name, RobotConfig())
+    changed = {setting: getattr(wanted, setting) for setting in ROBOT}
+    return dataclasses.replace(old.robots.get(name, RobotConfig()), **changed)
+
+
+def _with_robots(config: Config, names: Iterable[str]) -> Config:
+    """Add the default settings of robots that are not configured."""
+    return dataclasses.replace(config, robots={name: config.robots.get(name, RobotConfig()) for name in names})
+
+
+def _differences(old: object, new: object, where: str = "") -> Iterator[str]:
+    """Yield the names of different settings, as in the file."""
+    if old == new:
+        return
+    parts, others = _parts(old), _parts(new)
+    if parts is None or others is None:
+        yield where
+        return
+    for name in {**parts, **others}:
+        yield from _differences(parts.get(name), others.get(name), f"{where}.{name}".lstrip("."))
+
+
+def _parts(part: Any) -> dict[str, Any] | None:
+    """Return the entries of a table; None for a value."""
+    if isinstance(part, dict):
+        return part
+    if part is None or not dataclasses.is_dataclass(part):
+        return None
+    return {field.name: getattr(part, field.name) for field in dataclasses.fields(part)}
+
+
+READ_TIMEOUT_S = 10.0  # 20,000 robots take 2 to 4 s on a busy machine; longer waits are for a disk or a network
+MAX_LOGGED = 50  # settings in a line of the log
+
+Read = Callable[[], Config]
+Prepare = Callable[[Config], Callable[[], None]]  # checks settings in a thread; returns the function that applies them
+
+
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """Result of a reload: names of settings, and new names of robots by their old ones."""
+
+    changed: tuple[str, ...] = ()
+    needs_restart: tuple[str, ...] = ()
+    renamed: dict[str, str] = field(default_factory=dict)
+
+
+class Reloader:
+    """Reload of the settings. Files are read, and settings are compared and checked, in a thread.
+
+    `read` returns the settings as a new start would have them; None if the daemon has no file.
+    """
+
+    def __init__(self, hub: Hub, read: Read | None = None, *, read_timeout_s: float = READ_TIMEOUT_S) -> None:
+        self.prepares: list[Prepare] = []  # checks of the parts outside of the hub
+        self._hub, self._read, self._read_timeout_s = hub, read, read_timeout_s
+        self._thread = DetachedThread("reload")
+        self._turn = asyncio.Lock()  # a request during a reload reads again: the file may have changed
+        self._is_requested = False
+
+    def request(self) -> None:
+        """Reload soon. Errors are logged."""
+        if not self._is_requested:
+            self._is_requested = True
+            self._hub.spawn(self._reload_as_requested(), name="reload")
+
+    async def _reload_as_requested(self) -> None:
+        with contextlib.suppress(HostlinkError):
+            await self.reload()
+
+    async def reload(self) -> Reloaded:
+        """Reload the settings.
+
+        Raises:
+            ReloadRefused: the daemon was started without a file, a file cannot be read within READ_TIMEOUT_S, or a
+                robot that is driven or locked would be renamed.
+            ConfigError: a setting is wrong.
+        """
+        try:
+            async with self._turn:
+                self._is_requested = False
+                reloaded = await self._reload()
+        except HostlinkError as error:
+            log.warning("config.refused", reason=str(error))
+            raise
+        if reloaded != Reloaded():
+            facts = {
+                "changed": _shown(reloaded.changed),
+                "needs_restart": _shown(reloaded.needs_restart),
+                "renamed": dict(itertools.islice(reloaded.renamed.items(), MAX_LOGGED)),
+            }
+            log.warning("config.reloaded", **{name: fact for name, fact in facts.items() if fact})
+        return reloaded
+
+    async def _reload(self) -> Reloaded:
+        if self._read is None:
+            raise ReloadRefused("this daemon was started without --config FILE: there is nothing to read again")
+        if self._thread.is_busy:
+            raise ReloadRefused("an earlier reload still waits for a file; check the disk or network that has it")
+        read = self._read
+        try:
+            apply = await self._thread.run(lambda: self._prepare(read), timeout_s=self._read_timeout_s)
+        except TimeoutError:
+            raise ReloadRefused(
+                f"the settings, or a file that they name, could not be read within {self._read_timeout_s:g} s; "
+                "nothing has changed"
+            ) from None
+        return apply()
+
+    def _prepare(self, read: Read) -> Callable[[], Reloaded]:
+        """Read, compare and check the settings, in the thread. Return the function that applies them."""
+        changes = change(self._hub.config, read())
+        places = places_of(changes.config)
+        applies = [prepare(changes.config) for prepare in self.prepares]
+
+        def apply() -> Reloaded:
+            renamed = self._hub.reconfigure(changes.config, places)
+            for each in applies:
+                each()
+            return Reloaded(changes.changed, changes.needs_restart, renamed)
+
+        return apply
+
+
+def _shown(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Shorten a list of names for a log line."""
+    return names if len(names) <= MAX_LOGGED else (*names[:MAX_LOGGED], f"and {len(names) - MAX_LOGGED} more")

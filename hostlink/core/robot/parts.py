@@ -1,0 +1,77 @@
+"""Parts of a robot: which of several devices commands it, which tell how it moves, and what is missing. Pure."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from hostlink.core.robot.feedback import recognised
+from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, namespace_of
+
+
+class Membership(NamedTuple):
+    """A device that is a part of a robot: the robot's name, and the entry of its `devices` that means the device."""
+
+    robot: str
+    place: str
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Composition of a robot of several devices, by entries of its `devices`.
+
+    `why_not`: reason for which it is not driven; empty if it can be. `feedback`: where each topic is read, the first
+    device of a topic before others that send it, too.
+    """
+
+    command: str | None
+    why_not: str
+    feedback: tuple[tuple[str, Endpoint], ...]
+
+    def place_of(self, topic: tuple[str, str]) -> str | None:
+        """Return the device from which a topic is read, by name and type; None: no device sends it."""
+        return next((place for place, each in self.feedback if (each.name, each.type_name) == topic), None)
+
+    def odometry(self) -> str | None:
+        """Return the topic that tells most of the motion: that of the other devices precedes the command's own."""
+        for is_command in (False, True):
+            offered = [each for place, each in self.feedback if (place == self.command) is is_command]
+            found = recognised((each.name, each.type_name) for each in offered)
+            if found is not None:
+                return found[0]
+        return None
+
+
+def place_in(devices: Sequence[str], endpoints: Sequence[Endpoint], *, peer: str, address: str) -> str | None:
+    """Return the entry of a robot's `devices` that means this device; None: it is not a part of it.
+
+    An address with its port precedes the address, and that precedes the name in front of the device's topics.
+    """
+    names = {namespace[0] for namespace in (namespace_of(each.name) for each in endpoints) if namespace}
+    found = (each for each in (peer, address, *sorted(names)) if each in devices)
+    return next(found, None)
+
+
+def takes_velocity(place: str, endpoints: Sequence[Endpoint], settings: CommandSettings) -> bool:
+    """Whether this device may be the one that commands the robot."""
+    return settings.command_device in (None, place) and find_robot(endpoints, settings) is not None
+
+
+def parts_of(name: str, settings: CommandSettings, connected: Mapping[str, Sequence[Endpoint]]) -> Parts:
+    """Return the parts of a robot, from the endpoints of the connected devices by entries of its `devices`."""
+    commands = [
+        place for place in settings.devices if place in connected and takes_velocity(place, connected[place], settings)
+    ]
+    command = commands[0] if len(commands) == 1 else None
+    missing = [place for place in settings.devices if place not in connected]
+    why_not = ""
+    if len(commands) > 1:
+        both = " and ".join(commands)
+        why_not = f"{both} take a velocity: choose one, with command_device in [robots.{name}], and reload"
+    elif missing:
+        verb = "is" if len(missing) == 1 else "are"
+        why_not = f"its device {' and '.join(missing)} {verb} not connected"
+    elif command is None:
+        why_not = "none of its devices takes a velocity"
+    order = sorted(settings.devices, key=lambda place: place == command)  # stable
+    feedback = tuple((place, each) for place in order for each in connected.get(place, ()) if not each.is_to_device)
+    return Parts(command, why_not, feedback)

@@ -1,0 +1,257 @@
+"""TcpTransport, the listener for TCP devices, and its mDNS advertisement as `_rosserial._tcp` (Bonjour, Avahi)."""
+
+import asyncio
+import contextlib
+import errno
+import fcntl
+import ipaddress
+import socket
+import struct
+import sys
+import termios
+from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import dataclass
+
+from hostlink.core.config import TcpConfig
+from hostlink.core.runtime.acceptor import Acceptor, bind, why
+from hostlink.core.runtime.listening import spelled
+from hostlink.core.transport.base import Transport
+from hostlink.core.transport.connection import StreamTransport, set_options
+from hostlink.errors import ConfigError, LibraryMissing
+
+# -- stall ------------------------------------------------------------------------------------------------------------
+
+STALL_S = 0.4  # longer than a peer may delay an acknowledgement (lwIP on an ESP8266: 0.25 s)
+
+
+class Stall:
+    """Detector of a stalled peer, from the number of sent and of unacknowledged bytes."""
+
+    __slots__ = ("_acknowledged_bytes", "_is_waiting", "_since_s")
+
+    def __init__(self) -> None:
+        self._is_waiting = False
+        self._acknowledged_bytes = 0
+        self._since_s = 0.0  # time of the last progress, or of the first unacknowledged byte
+
+    def is_stalled(self, *, sent_bytes: int, unacknowledged_bytes: int, now_s: float) -> bool:
+        """Whether bytes are unacknowledged and none was acknowledged for STALL_S."""
+        acknowledged_bytes = sent_bytes - unacknowledged_bytes
+        if not self._is_waiting or acknowledged_bytes > self._acknowledged_bytes:
+            self._acknowledged_bytes, self._since_s = acknowledged_bytes, now_s
+        self._is_waiting = unacknowledged_bytes > 0
+        return self._is_waiting and now_s >= self._since_s + STALL_S
+
+
+# -- tcp --------------------------------------------------------------------------------------------------------------
+
+_I32 = struct.Struct("=i")
+_RTT_AT = 68  # offset of tcpi_rtt, in microseconds, in Linux's struct tcp_info
+SEND_BUFFER_BYTES = 8192  # bounds old commands in the kernel, where they cannot be replaced
+RECEIVE_BUFFER_BYTES = 65536  # bounds how late a device's data may be during a flood
+STALL_POLL_S = 0.01
+USER_TIMEOUT_MS = 5000  # the peer is gone when sent data stays unacknowledged for longer
+
+
+@dataclass(frozen=True, slots=True)
+class Listener:
+    """Address of the listening socket."""
+
+    address: tuple[str, int]
+
+
+class TcpTransport(StreamTransport):
+    """TCP connection with a measured round trip. Nothing more is sent to it while the network stalls."""
+
+    __slots__ = ("_on_made", "_sent_bytes", "_socket", "_stall")
+
+    kind = "tcp"
+
+    def __init__(self, on_made: Callable[["TcpTransport"], None]) -> None:
+        """`on_made` is called when the connection has its peer and its options."""
+        super().__init__()
+        self._on_made = on_made
+        self._socket: socket.socket | None = None
+        self._sent_bytes = 0
+        self._stall = Stall()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        made: socket.socket = transport.get_extra_info("socket")
+        peername = transport.get_extra_info("peername")
+        try:
+            set_options(
+                made,
+                send_bytes=SEND_BUFFER_BYTES,
+                receive_bytes=RECEIVE_BUFFER_BYTES,
+                user_timeout_ms=USER_TIMEOUT_MS,
+            )
+        except OSError:
+            peername = None
+        if peername is None:  # the peer has already reset the connection
+            self.transport.abort()
+            return
+        self._socket, self.address, self.peer = made, peername[0], spelled(*peername[:2])
+        self._on_made(self)
+
+    def write(self, data: bytes) -> bool:
+        """Write, and report False during a stall, so that the next frame is chosen as late as possible."""
+        if self.transport.is_closing():
+            return False
+        self.transport.write(data)
+        self._sent_bytes += len(data)
+        return not self.is_writing_paused and not self._is_stalled()
+
+    async def drain(self) -> None:
+        """Wait until the peer acknowledges what was sent."""
+        await super().drain()
+        while self._is_stalled():  # noqa: ASYNC110 - the kernel sends no event
+            await asyncio.sleep(STALL_POLL_S)
+
+    def _is_stalled(self) -> bool:
+        """Whether the peer acknowledges nothing; False where the system does not tell, or the connection is lost."""
+        unacknowledged_bytes, connection = 0, self._socket
+        if connection is not None and sys.platform == "linux" and not self._lost.done():
+            number = connection.fileno()
+            if number >= 0:
+                unacknowledged_bytes = _I32.unpack(fcntl.ioctl(number, termios.TIOCOUTQ, bytes(4)))[0]
+        return self._stall.is_stalled(
+            sent_bytes=self._sent_bytes,
+            unacknowledged_bytes=unacknowledged_bytes,
+            now_s=asyncio.get_running_loop().time(),
+        )
+
+    async def _leave(self) -> None:
+        await super().drain()
+        self._shut_down()
+
+    def _abort(self) -> None:
+        self._shut_down()
+        super()._abort()
+
+    def _shut_down(self) -> None:
+        """Shut the connection down. Closing alone would not end it while another process holds a duplicate."""
+        number = None if self.transport.is_closing() else self._open_descriptor()
+        if number is None:
+            return
+        connection = socket.socket(fileno=number)
+        with contextlib.suppress(OSError):  # the peer has closed already
+            connection.shutdown(socket.SHUT_RDWR)
+        connection.detach()
+
+    def round_trip_s(self) -> float | None:
+        """Round trip time from the kernel; None where it has no TCP_INFO, or the connection is lost."""
+        connection = self._open_socket()
+        if connection is None or not hasattr(socket, "TCP_INFO"):
+            return None
+        try:
+            info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _RTT_AT + 4)
+        except OSError:
+            return None
+        rtt_us: int = struct.unpack_from("=I", info, _RTT_AT)[0]
+        return rtt_us / 1e6
+
+    def _open_descriptor(self) -> int | None:
+        found = self._open_socket()
+        return None if found is None else found.fileno()
+
+    def _open_socket(self) -> socket.socket | None:
+        """Return the open socket. None when it is closed: uvloop's closed sockets raise on any call."""
+        found = self._socket
+        return None if found is None or self._lost.done() or found.fileno() < 0 else found
+
+
+@contextlib.asynccontextmanager
+async def serve_tcp(
+    config: TcpConfig,
+    on_connection: Callable[[Transport], None],
+    *,
+    on_exhausted: Callable[[], None],
+    listening: Sequence[socket.socket] = (),
+) -> AsyncIterator[Listener]:
+    """Accept devices until the block is left. Links end after the listener.
+
+    `on_exhausted` is called at each try to accept without a free descriptor. `listening`: sockets from
+    `hostlink.core.runtime.listening` that listen already.
+
+    Raises:
+        ConfigError: the address cannot be listened on.
+    """
+
+    async def open_transport(connection: socket.socket) -> None:
+        try:
+            await loop.connect_accepted_socket(lambda: TcpTransport(on_connection), connection)
+        except OSError:  # the peer has reset the connection
+            connection.close()
+        except Exception as error:  # noqa: BLE001 - a defect in opening one connection ends neither listener nor daemon
+            connection.close()
+            loop.call_exception_handler({"message": "a connection could not be opened", "exception": error})
+
+    def accepted(connection: socket.socket, peer: str, _: float) -> None:
+        tasks.create_task(open_transport(connection), name=f"opening of {peer}")
+
+    loop = asyncio.get_running_loop()
+    try:
+        sockets = list(listening) or await bind(config.host, config.port)
+    except (OSError, OverflowError, UnicodeError) as error:
+        raise ConfigError(f"TCP {spelled(config.host, config.port)}", explain(error, "--listen")) from error
+    address = sockets[0].getsockname()[:2]
+    async with asyncio.TaskGroup() as tasks:
+        acceptor = Acceptor(sockets, accepted, on_exhausted=on_exhausted)
+        try:
+            yield Listener(address)
+        finally:
+            acceptor.close()
+
+
+def explain(error: OSError | OverflowError | UnicodeError, option: str) -> str:
+    """Explain why an address cannot be listened on. `option` is the flag that chooses another."""
+    if isinstance(error, UnicodeError):
+        return f"{why(error)}; choose another with {option} HOST:PORT"
+    if isinstance(error, OverflowError):
+        return why(error)
+    if error.errno == errno.EADDRINUSE:
+        return f"is in use, probably by another rosserial host; stop it, or choose another port with {option} HOST:PORT"
+    return f"cannot be listened on: {why(error)}"
+
+
+# -- mDNS -------------------------------------------------------------------------------------------------------------
+
+SERVICE = "_rosserial._tcp.local."
+
+
+@contextlib.asynccontextmanager
+async def advertised(config: TcpConfig, address: tuple[str, int]) -> AsyncIterator[None]:
+    """Advertise the port until the block is left, if `config.mdns` is set."""
+    if not config.mdns:
+        yield
+        return
+    try:
+        import ifaddr  # noqa: PLC0415 - an optional dependency
+        import zeroconf  # noqa: PLC0415
+        from zeroconf.asyncio import AsyncZeroconf  # noqa: PLC0415
+    except ImportError as error:
+        raise LibraryMissing("tcp.mdns", "zeroconf", "mdns") from error
+    listens_on, port = address
+    is_any = ipaddress.ip_address(listens_on).is_unspecified
+    addresses = (
+        _reachable([str(ip.ip) for adapter in ifaddr.get_adapters() for ip in adapter.ips if ip.is_IPv4])
+        if is_any
+        else [listens_on]
+    )
+    host = socket.gethostname().split(".")[0]
+    info = zeroconf.ServiceInfo(
+        SERVICE, f"hostlink on {host}.{SERVICE}", port=port, parsed_addresses=addresses, server=f"{host}.local."
+    )
+    network = AsyncZeroconf(interfaces=zeroconf.InterfaceChoice.All if is_any else addresses)
+    try:
+        await (await network.async_register_service(info, allow_name_change=True))  # another host may use the name
+        yield
+    finally:
+        await network.async_unregister_all_services()
+        await network.async_close()
+
+
+def _reachable(addresses: list[str]) -> list[str]:
+    """Return the addresses that another computer can reach; all addresses if none is reachable."""
+    return [address for address in addresses if not ipaddress.ip_address(address).is_loopback] or addresses

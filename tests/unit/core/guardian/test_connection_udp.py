@@ -1,0 +1,132 @@
+"""The guardian's duplicate of a UDP socket: neither an error nor an empty datagram ends it."""
+
+import select
+import socket
+import struct
+from collections.abc import Iterator
+
+import pytest
+
+from hostlink.core.guardian.connection import DATAGRAM_BYTES, GuardedConnection
+from hostlink.core.guardian.frames import INTERVAL_S, ZEROS
+from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, encode
+
+END_S = ZEROS * INTERVAL_S
+ZERO = encode(100, bytes(48))
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
+    """Return the daemon's socket and the device's."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device,
+    ):
+        ours.bind(("127.0.0.1", 0))
+        device.bind(("127.0.0.1", 0))
+        ours.connect(device.getsockname())
+        device.connect(ours.getsockname())
+        device.setblocking(False)
+        yield ours, device
+
+
+def received(device: socket.socket) -> list[bytes]:
+    came = []
+    try:
+        while True:
+            came.append(device.recv(65536))
+    except (BlockingIOError, ConnectionRefusedError):
+        return came
+
+
+def play(connection: GuardedConnection, events: int = select.POLLOUT) -> None:
+    for tenth in range(int(END_S * 100) + 2):
+        if connection.is_open:
+            connection.step(events, tenth / 100)
+
+
+def guarded(ours: socket.socket, claim_bytes: int = 100, zeros: tuple[bytes, ...] = (ZERO,)) -> GuardedConnection:
+    return GuardedConnection(ours.dup().detach(), zeros, STOP_REQUEST, claim_bytes)
+
+
+def test_zeros_and_stop_request_are_datagrams_of_whole_frames(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    ours, device = pair
+    connection = guarded(ours)
+    play(connection)
+    assert received(device) == [ZERO] * ZEROS + [STOP_REQUEST]
+    assert not connection.is_open
+
+
+@pytest.mark.parametrize("is_end", [True, False])
+def test_frames_of_many_endpoints_are_whole_in_as_few_datagrams_as_possible(
+    pair: tuple[socket.socket, socket.socket], *, is_end: bool
+) -> None:
+    ours, device = pair
+    zeros = tuple(encode(100 + number, bytes(92)) for number in range(16))
+    connection = guarded(ours, DATAGRAM_BYTES, zeros)
+    if is_end:
+        play(connection)
+    else:
+        connection.begin_hold()
+        for turn in range(ZEROS):
+            connection.hold(turn * INTERVAL_S)
+        connection.close()
+    both = [b"\0".join(zeros[:10]), b"\0".join(zeros[10:])]
+    assert received(device) == both * ZEROS + [STOP_REQUEST] * is_end
+
+
+def test_frames_of_a_protocol_that_keeps_datagrams_are_one_each(pair: tuple[socket.socket, socket.socket]) -> None:
+    ours, device = pair
+    play(guarded(ours, claim_bytes=0, zeros=(ZERO, STOP_REQUEST)))
+    assert received(device) == [ZERO, STOP_REQUEST] * ZEROS + [STOP_REQUEST]
+
+
+def test_zeros_cover_the_length_of_frames_in_several_datagrams(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    ours, device = pair
+    claim_bytes = 3 * DATAGRAM_BYTES
+    play(guarded(ours, claim_bytes))
+    came = received(device)
+    assert max(map(len, came)) <= DATAGRAM_BYTES
+    assert len(b"".join(came)) > claim_bytes
+    assert b"".join(came).endswith(ZERO + STOP_REQUEST)
+
+
+def test_icmp_error_does_not_end_the_connection(pair: tuple[socket.socket, socket.socket]) -> None:
+    """The device's system answers the first datagram with port unreachable; then the device is back."""
+    ours, device = pair
+    address = device.getsockname()
+    device.close()
+    connection = guarded(ours)
+    connection.step(select.POLLOUT, 0.0)
+    connection.step(select.POLLERR, 0.01)
+    assert connection.is_open
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as back:
+        back.bind(address)
+        back.setblocking(False)
+        for tenth in range(2, 20):
+            if connection.is_open:
+                connection.step(select.POLLOUT | select.POLLERR, tenth / 100)
+        assert received(back) == [ZERO] * (ZEROS - 1) + [STOP_REQUEST]
+
+
+def test_unreachable_device_ends_the_connection_in_time(pair: tuple[socket.socket, socket.socket]) -> None:
+    ours, device = pair
+    device.close()
+    connection = guarded(ours)
+    play(connection, select.POLLOUT | select.POLLERR)
+    assert not connection.is_open
+
+
+def test_received_datagrams_are_discarded_even_when_empty(pair: tuple[socket.socket, socket.socket]) -> None:
+    ours, device = pair
+    connection = guarded(ours)
+    for data in (b"", struct.pack("<3d", 1, 2, 3)):
+        device.send(data)
+        connection.step(select.POLLIN | select.POLLOUT, 0.0)
+        assert connection.is_open
+    play(connection)
+    assert received(device)[-1] == STOP_REQUEST
