@@ -25,10 +25,11 @@ from hostlink.cli.connecting import ask
 from hostlink.cli.files import writing
 from hostlink.cli.output import quantity, table, write, write_error
 from hostlink.cli.robots import name_of
+from hostlink.cli.settings import load
 from hostlink.cli.settings_file import Tables, require_changeable, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
 from hostlink.client.course import Speed
-from hostlink.core.config import CalibrationConfig, load
+from hostlink.core.config import CalibrationConfig
 from hostlink.core.robot.odometry import OdometryCorrection
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.workbench.calibration import Calibration, MeasuredRun, WheelGeometry, calibrated, uncorrected

@@ -20,6 +20,7 @@ from hostlink.components.gateway.access import Access, is_loopback, tls_context
 from hostlink.components.gateway.listener import KEPT_FOR_REQUESTS
 from hostlink.components.recorder.folder import default_folder
 from hostlink.components.recorder.owner import owner_of
+from hostlink.core.components import chosen_components
 from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_place
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.parameters import to_parameter
@@ -122,6 +123,8 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     if config.udp is not None:
         UdpAcceptor(hub, config.udp)
         warnings += await _try_datagrams(config.udp)
+    for name, kind, settings in chosen_components(config):
+        warnings += [f"{name}: {each}" for each in kind(settings).check()]
     fits = fitted(config, descriptors)
     if fits != config:
         sessions = "" if fits.udp is None else f", {fits.udp.max_connections} over UDP"
@@ -149,6 +152,7 @@ def describe(config: Config) -> list[str]:
         lines.append(f"robot {name}, {robot.address or ' and '.join(robot.devices or ()) or 'known by its topics'}")
     if config.zenoh is not None:
         lines.append(_describe_zenoh(config.zenoh))
+    lines += [kind(settings).describe() for _, kind, settings in chosen_components(config)]
     lines += [f"messages in {folder}" for folder in config.message_folders]
     return [*lines, quantity(len(config.parameters), "parameter")]
 

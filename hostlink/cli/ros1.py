@@ -15,9 +15,10 @@ from hostlink.cli.addresses import parse_serial
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.serve_command import ApiAddress, ConfigFile, LogLevel, merge, open_device_port, with_master
+from hostlink.cli.settings import load
 from hostlink.cli.start import import_fast
 from hostlink.components.ros1.names import NodeArguments, parse_arguments
-from hostlink.core.config import MAX_PORT, Config, Ros1Config, SerialConfig, load
+from hostlink.core.config import MAX_PORT, Config, Ros1Config, SerialConfig
 from hostlink.errors import ConfigError
 
 NODE = "serial_node"

@@ -25,6 +25,7 @@ from hostlink.cli.output import quantity, write, write_error
 from hostlink.components.gateway.server import serve_api
 from hostlink.components.recorder.recordings import Recordings
 from hostlink.components.recorder.robot_names import kept_names, names_file
+from hostlink.core.components import chosen_components, supervise
 from hostlink.core.config import Config, UdpConfig
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.hub.gates import Guard
@@ -103,6 +104,7 @@ async def running(
             kept_names(hub, names_file(config)),
             _recordings(hub) as recordings,
             _graphs(hub, config, on_graph_end),
+            _components(hub, config),
             _listening(hub, config, recordings, reloader, listening, on_listening) as addresses,
         ):
             udp = {} if addresses.udp is None else {"udp": spelled(*addresses.udp)}
@@ -212,6 +214,15 @@ async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator
         if config.ros1.master:
             module = importlib.import_module("hostlink.components.ros1.node")
             await graphs.enter_async_context(module.ros1_running(hub, config.ros1, on_end))
+        yield
+
+
+@contextlib.asynccontextmanager
+async def _components(hub: Hub, config: Config) -> AsyncIterator[None]:
+    """Run the components of other packages that the settings switch on."""
+    async with meanwhile(
+        *((name, supervise(hub, kind, settings)) for name, kind, settings in chosen_components(config))
+    ):
         yield
 
 

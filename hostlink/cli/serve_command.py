@@ -18,8 +18,9 @@ import typer
 from hostlink.cli.addresses import is_origin, parse_address, parse_serial
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
+from hostlink.cli.settings import load
 from hostlink.cli.start import import_fast
-from hostlink.core.config import ApiConfig, Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
+from hostlink.core.config import ApiConfig, Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig
 from hostlink.core.runtime.listening import listen as listen_at
 from hostlink.errors import ConfigError, LibraryMissing
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hostlink.core.config import load
+from hostlink.cli.settings import load
 from hostlink.core.runtime.text_file import read_text
 from hostlink.errors import ConfigError
 

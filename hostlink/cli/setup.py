@@ -16,8 +16,9 @@ from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.connecting import ask
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.output import write, write_error
+from hostlink.cli.settings import load
 from hostlink.client import DEFAULT_URL
-from hostlink.core.config import MAX_PORT, load
+from hostlink.core.config import MAX_PORT
 from hostlink.errors import HostlinkError
 
 # -- questions --------------------------------------------------------------------------------------------------------

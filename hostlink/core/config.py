@@ -10,6 +10,7 @@ import math
 import re
 import typing
 import urllib.parse
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -25,6 +26,8 @@ MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
 
 MAX_ROS_DOMAIN_ID = 232
 ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # part of a Zenoh key
+
+_OF_TABLES = "component_settings"  # field of `Config` that is no key of the file
 
 ParameterScalar = bool | int | float | str
 ParameterValue = ParameterScalar | list[ParameterScalar]
@@ -570,6 +573,8 @@ class Config:
     black_box: BlackBoxConfig = field(default_factory=BlackBoxConfig)
     zenoh: ZenohConfig | None = None  # None: Zenoh is not used and not imported
     guardian: bool = True  # run a second process that stops the robots when the daemon died or hangs
+    components: dict[str, bool] = field(default_factory=dict)  # whether each component runs: docs/components.md
+    component_settings: dict[str, Any] = field(default_factory=dict)  # by name, of the tables that the file has
 
     def __post_init__(self) -> None:
         owners = {place: name for name, robot in self.robots.items() for place in robot.devices or ()}
@@ -580,8 +585,10 @@ class Config:
                     raise ValueError(f"{place} is a device of {both}: remove it from one of them")
 
 
-def load(path: Path) -> Config:
+def load(path: Path, *, settings_type: Callable[[str], type | None] = lambda _: None) -> Config:
     """Read and validate a TOML file. Paths in it are relative to its folder.
+
+    `settings_type` returns the type of a component's table by its name; None if there is no such component.
 
     Raises:
         ConfigError: the file cannot be read or a setting is wrong; it names file, key and the nearest known key.
@@ -597,7 +604,13 @@ def load(path: Path) -> Config:
         raise ConfigError(str(path), f"is not TOML: {error}") from error
     except RecursionError:
         raise ConfigError(str(path), "is not a settings file: nested too deeply") from None
+    kinds = {name: settings_type(name) for name in raw if name not in _hints(Config)}
+    tables = {name: raw.pop(name) for name, kind in kinds.items() if kind is not None}
+    if _OF_TABLES in raw:
+        raise ConfigError(str(path), f"unknown key {_OF_TABLES}; each component has a table of its own name")
     _refuse_unknown_keys(raw, Config, str(path), "")
+    for name, table in tables.items():
+        _refuse_unknown_keys(table, kinds[name], str(path), f"{name}.")
 
     def read_path(_: type, value: object) -> Path:  # the one type that msgspec does not know
         if not isinstance(value, str):
@@ -608,9 +621,18 @@ def load(path: Path) -> Config:
             raise ValueError(f"{value!r}: {error}") from error
 
     try:
-        return msgspec.convert(raw, Config, dec_hook=read_path)
+        config = msgspec.convert(raw, Config, dec_hook=read_path)
     except msgspec.ValidationError as error:
         raise ConfigError(str(path), _named(str(error), raw)) from error
+    settings = {}
+    for name, table in tables.items():
+        try:
+            settings[name] = msgspec.convert(table, kinds[name], dec_hook=read_path)
+        except msgspec.ValidationError as error:
+            problem = str(error)
+            place = problem.replace("`$", f"`$.{name}") if "`$" in problem else f"{problem} - at `$.{name}`"
+            raise ConfigError(str(path), place) from error
+    return dataclasses.replace(config, component_settings=settings)
 
 
 def _named(problem: str, raw: Any) -> str:

@@ -168,7 +168,7 @@ class Metrics:
         yield _counter(
             "datagrams_dropped", "UDP datagrams dropped, by cause", counts.datagrams_dropped.items(), "cause"
         )
-        events = [((graph, what), count) for graph, read in counts.graphs.items() for what, count in read().items()]
+        events = [((graph, what), count) for graph, read in counts.components.items() for what, count in read().items()]
         yield _counter("graph_events", "Events of a graph", events, "graph", "what")
         hosts = Counter(robot.host for robot in hub.robots.remote.values() if robot.link)
         yield _gauge("fleet_robots", "Connected robots of other daemons", hosts.items(), "host")

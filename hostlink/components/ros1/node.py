@@ -86,7 +86,7 @@ class Member:
         watcher = hub.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
         watcher.watch_graph(lambda: self._update(watcher.graph()))
         hub.links.parameter_source = self.parameters
-        hub.counts.graphs[GROUP] = partial(asdict, self._node.counts)
+        hub.counts.components[GROUP] = partial(asdict, self._node.counts)
         try:
             yield
         finally:

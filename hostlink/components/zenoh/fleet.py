@@ -282,7 +282,7 @@ class Fleet:
 
     def __init__(self, hub: Hub, session: ZenohSession, config: ZenohConfig) -> None:
         counts: Counter[str] = Counter()
-        hub.counts.graphs["fleet"] = lambda: counts
+        hub.counts.components["fleet"] = lambda: counts
         me = Sender(config.name or sender_name(socket.gethostname()), session.zid)
         self._hub = hub
         self._transport = FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers, hub.slept_s)

@@ -684,7 +684,7 @@ async def ros2_bridged(hub: Hub, session: ZenohSession, config: ZenohConfig) -> 
     name = re.sub(r"\W", "_", config.name or socket.gethostname(), flags=re.ASCII)
     token = NodeToken(config.ros_domain_id, session.zid, 0, "/", f"hostlink_{name}", OWN_ENCLAVE)
     bridge = RmwBridge(hub, session, types, token)
-    hub.counts.graphs["ros2"] = lambda: bridge.counts
+    hub.counts.components["ros2"] = lambda: bridge.counts
     log.info("ros2.joined", node=token.full_name, domain=token.domain, distribution=config.ros_distribution)
     try:
         async with asyncio.TaskGroup() as tasks:

@@ -19,7 +19,7 @@ async def zenoh_running(hub: Hub, config: ZenohConfig) -> AsyncIterator[None]:
         ConfigError: eclipse-zenoh is not installed, or Zenoh refuses the settings.
     """
     async with opened(config, hub.isolation) as session, contextlib.AsyncExitStack() as parts:
-        hub.counts.graphs["zenoh"] = lambda: session.counts
+        hub.counts.components["zenoh"] = lambda: session.counts
         hub.spawn(session.run(), name="zenoh")
         if config.fleet:
             await parts.enter_async_context(fleet_running(hub, session, config))

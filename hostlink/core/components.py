@@ -1,0 +1,135 @@
+"""Components by name (entry-point group `hostlink.components`), and their supervision."""
+
+import asyncio
+import contextlib
+import functools
+from collections import Counter
+from collections.abc import Coroutine, Mapping
+from typing import Any
+
+import structlog
+
+from hostlink.core.config import Config
+from hostlink.core.host import Component, Host
+from hostlink.core.hub.hub import Hub
+from hostlink.core.runtime.cancellation import first_error, raise_if_cancelled
+from hostlink.core.runtime.loop_time import loop_time_s
+from hostlink.errors import ConfigError, HostlinkError
+
+GROUP = "hostlink.components"
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0  # before another run; doubled after each failure
+STEADY_S = 60.0  # after a run of this length the pause is the first one again
+
+log = structlog.get_logger()
+AnyComponent = Component[Any]
+
+
+def installed() -> frozenset[str]:
+    """Return the names of the installed components. Nothing is imported."""
+    return frozenset(_entry_points())
+
+
+def find_component(name: str) -> type[AnyComponent]:
+    """Return the component of this name.
+
+    Raises:
+        ConfigError: no installed package has it, or the one that has it cannot be imported.
+    """
+    found = _entry_points().get(name)
+    if found is None:
+        known = ", ".join(sorted(_entry_points())) or "none"
+        raise ConfigError(f"components.{name}", f"no installed package has this component; known: {known}")
+    try:
+        component = found.load()
+    except HostlinkError as error:  # for example a library that is missing
+        raise ConfigError(f"components.{name}", str(error)) from error
+    except Exception as error:  # a module of another package may raise anything
+        raise ConfigError(f"components.{name}", f"{found.value} cannot be imported: {error!r}") from error
+    if not (isinstance(component, type) and issubclass(component, Component)):
+        raise ConfigError(f"components.{name}", f"{found.value} is not a subclass of Component")
+    if component.name != name:
+        raise ConfigError(f"components.{name}", f"{found.value} has the name {component.name}")
+    return component
+
+
+def settings_type(name: str) -> type | None:
+    """Return the type of a component's table in hostlink.toml; None if no component has this name.
+
+    Raises:
+        ConfigError: the component cannot be imported.
+    """
+    return find_component(name).settings_type if name in _entry_points() else None
+
+
+def chosen_components(config: Config) -> list[tuple[str, type[AnyComponent], object]]:
+    """Return name, component and settings of each that runs: it has a table, or [components] switches it on.
+
+    Raises:
+        ConfigError: a component is not installed, cannot be imported, or needs settings that the file does not have.
+    """
+    chosen = []
+    for name in sorted(config.component_settings.keys() | config.components.keys()):
+        kind = find_component(name)
+        if not config.components.get(name, True):
+            continue
+        settings = config.component_settings.get(name)
+        if settings is None:
+            try:
+                settings = kind.settings_type()
+            except TypeError as error:
+                advice = f"it needs a table [{name}] with its settings: {error}"
+                raise ConfigError(f"components.{name}", advice) from error
+        chosen.append((name, kind, settings))
+    return chosen
+
+
+@functools.cache
+def _entry_points() -> Mapping[str, Any]:
+    from importlib.metadata import entry_points  # noqa: PLC0415 - it takes 20 ms
+
+    return {each.name: each for each in entry_points(group=GROUP)}
+
+
+async def supervise(hub: Hub, kind: type[AnyComponent], settings: object) -> None:
+    """Run a component until cancelled. When it fails, its robots are stopped, and it is run again after a pause."""
+    counts = Counter[str]()
+    hub.counts.components[kind.name] = lambda: counts
+    pause_s = FIRST_PAUSE_S
+    while True:
+        began_s = loop_time_s()
+        reason = await _run_once(hub, kind, settings, counts)
+        counts["failures"] += 1
+        if loop_time_s() >= began_s + STEADY_S:
+            pause_s = FIRST_PAUSE_S
+        hub.diagnoses.observe_own(kind.name, "component_failed", f"{kind.name}: {reason}")
+        log.warning("component.ended", component=kind.name, reason=reason, again_in_s=pause_s)
+        await asyncio.sleep(pause_s)
+        hub.diagnoses.observe_own(kind.name)
+        pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+
+
+async def _run_once(hub: Hub, kind: type[AnyComponent], settings: object, counts: Counter[str]) -> str:
+    """Run a component to its end. Return why it ended."""
+    error: BaseException | None = None
+    async with contextlib.AsyncExitStack() as leaving:
+        try:
+            async with asyncio.TaskGroup() as tasks:
+
+                def spawn(work: Coroutine[Any, Any, object], name: str) -> None:
+                    task = tasks.create_task(work, name=f"{kind.name}: {name}")
+                    task.add_done_callback(lambda _: work.close())  # it may be cancelled before its first turn
+
+                host = Host(hub, kind.name, spawn, counts)
+                leaving.callback(host.close)
+                await kind(settings).run(host)
+                raise _Ended("it ended by itself")  # noqa: TRY301 - it ends what the component has spawned
+        except* Exception as group:  # noqa: BLE001 - a component of another package may raise anything
+            error = first_error(group)
+    raise_if_cancelled()
+    if isinstance(error, Exception) and not isinstance(error, HostlinkError | OSError | _Ended):
+        hub.isolation.crashed("component", error, component=kind.name)
+    return str(error) or repr(error)
+
+
+class _Ended(Exception):
+    """A component has returned from `run`."""

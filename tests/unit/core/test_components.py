@@ -1,0 +1,386 @@
+"""Components: a failure stops what the component drives, is reported, and is followed by another start."""
+
+import asyncio
+import contextlib
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hostlink.cli.settings import load
+from hostlink.core import components
+from hostlink.core.components import LONGEST_PAUSE_S, STEADY_S, chosen_components, find_component, supervise
+from hostlink.core.config import Config
+from hostlink.core.host import Component, Host, PlanarVelocity, RobotEvent, Role
+from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, NoRole, UnknownTopic
+from tests.support.memory_hub import MemoryHub, in_hub, velocities
+from tests.support.virtual_loop import inside
+from tests.support.waiting import expect
+
+FORWARD = PlanarVelocity(0.1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of the component in these tests."""
+
+    speed_m_s: float = 0.1
+    folder: Path | None = None
+    tags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needy:
+    """Settings with a key that has no default."""
+
+    port: int
+
+
+class Driver(Component[Settings]):
+    """Component that does what a test says."""
+
+    name = "driver"
+    settings_type = Settings
+    hosts: list[Host]
+    steps: list[Any]  # of one run each: an exception, "return", or a coroutine function
+
+    async def run(self, host: Host) -> None:
+        self.hosts.append(host)
+        step = self.steps[min(len(self.hosts), len(self.steps)) - 1]
+        if isinstance(step, Exception):
+            raise step
+        if step != "return":
+            await step(host)
+
+
+class NeedyDriver(Driver):
+    name = "needy"
+    settings_type = Needy
+
+
+def driver_of(*steps: Any) -> type[Driver]:
+    return type("Driver", (Driver,), {"steps": list(steps), "hosts": []})
+
+
+async def drive_for_ever(host: Host) -> None:
+    me = host.join("arm")
+    while True:
+        with contextlib.suppress(HostlinkError):
+            host.drive(me, "robot_0", FORWARD)
+        await asyncio.sleep(0.1)
+
+
+@contextlib.asynccontextmanager
+async def supervised(made: MemoryHub, kind: type[Driver]) -> Any:
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(supervise(made.hub, kind, Settings()))
+        yield
+        task.cancel()
+
+
+def codes(made: MemoryHub) -> list[str]:
+    return [each.code for each in made.hub.diagnoses.own.values()]
+
+
+@pytest.fixture
+def entry_points(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, EntryPoint]]:
+    """Installed components; a test may add some."""
+
+    def point(name: str, value: str) -> EntryPoint:
+        return EntryPoint(name, value, components.GROUP)
+
+    found = {
+        "driver": point("driver", f"{__name__}:Driver"),
+        "needy": point("needy", f"{__name__}:NeedyDriver"),
+        "other": point("other", f"{__name__}:Driver"),
+        "module": point("module", f"{__name__}:Settings"),
+        "broken": point("broken", "no_such_module:X"),
+    }
+    monkeypatch.setattr(components, "_entry_points", lambda: found)
+    return iter([found])
+
+
+# -- supervision ------------------------------------------------------------------------------------------------------
+
+
+@inside(in_hub, reraises=False)
+@pytest.mark.parametrize("problem", [ValueError("a bug"), ConnectionRefusedError("no broker"), DeviceGone("robot_0")])
+async def test_failure_stops_its_robot_at_once_and_is_reported_until_the_next_start(
+    made: MemoryHub, problem: Exception
+) -> None:
+    device = await made.connect()
+
+    async def fail_while_driving(host: Host) -> None:
+        me = host.join("arm")
+        for _ in range(10):
+            host.drive(me, "robot_0", FORWARD)
+            await asyncio.sleep(0.1)
+        raise problem
+
+    kind = driver_of(fail_while_driving, drive_for_ever)
+    async with supervised(made, kind):
+        await asyncio.sleep(0.95)
+        assert velocities(device)[-1] == (0.1, 0.0)
+        await asyncio.sleep(0.1)
+        assert velocities(device)[-1] == (0.0, 0.0)
+        assert codes(made) == ["component_failed"]
+        assert str(problem) in made.hub.diagnoses.own["driver"].detail
+        assert made.robot().state(made.now_s).holder is None
+        await asyncio.sleep(1.0)
+        assert codes(made) == []
+        assert velocities(device)[-1] == (0.1, 0.0)
+    await asyncio.sleep(0.1)
+    assert velocities(device)[-1] == (0.0, 0.0)
+    has_traceback = isinstance(problem, ValueError)
+    assert len(made.logged("component.crashed")) == made.hub.isolation.crashes["component"] == has_traceback
+    assert [each["reason"] for each in made.logged("component.ended")] == [str(problem)]
+
+
+@inside(in_hub)
+async def test_pause_between_starts_grows_and_is_short_again_after_a_steady_run(made: MemoryHub) -> None:
+    async def steady(_: Host) -> None:
+        await asyncio.sleep(STEADY_S + 1.0)
+        raise OSError("lost")
+
+    kind = driver_of(*[OSError("refused")] * 8, steady, OSError("refused"))
+    async with supervised(made, kind):
+        await asyncio.sleep(400.0)
+        pauses = [each["again_in_s"] for each in made.logged("component.ended")]
+        assert pauses[:8] == [1, 2, 4, 8, 16, 32, LONGEST_PAUSE_S, LONGEST_PAUSE_S]
+        assert pauses[8:10] == [1, 2]
+    assert made.hub.counts.components["driver"]()["failures"] == len(pauses)
+
+
+@inside(in_hub)
+async def test_component_that_returns_is_started_again_and_what_it_spawned_has_ended(made: MemoryHub) -> None:
+    ended: list[str] = []
+
+    async def spawn_and_return(host: Host) -> None:
+        host.spawn(last_for_ever(), name="work")
+        await asyncio.sleep(0.1)
+
+    async def last_for_ever() -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            ended.append("work")
+
+    kind = driver_of(spawn_and_return, drive_for_ever)
+    async with supervised(made, kind):
+        await asyncio.sleep(0.5)
+        assert ended == ["work"]
+        assert codes(made) == ["component_failed"]
+        await expect(lambda: len(kind.hosts) == 2)
+
+
+@inside(in_hub, reraises=False)
+async def test_failure_of_spawned_work_or_of_a_callback_is_a_failure_of_the_component(made: MemoryHub) -> None:
+    async def crash() -> None:
+        raise ValueError("spawned")
+
+    async def spawn(host: Host) -> None:
+        host.spawn(crash(), name="work")
+        await asyncio.Event().wait()
+
+    kind = driver_of(spawn, drive_for_ever)
+    async with supervised(made, kind):
+        await asyncio.sleep(0.1)
+        assert "spawned" in made.hub.diagnoses.own["driver"].detail
+
+
+@inside(in_hub)
+async def test_component_that_swallows_its_cancellation_is_not_started_again(made: MemoryHub) -> None:
+    async def swallow(_: Host) -> None:
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.Event().wait()
+
+    kind = driver_of(swallow, drive_for_ever)
+    async with supervised(made, kind):
+        await asyncio.sleep(0.1)
+    await asyncio.sleep(5.0)
+    assert len(kind.hosts) == 1
+
+
+# -- what it gets -----------------------------------------------------------------------------------------------------
+
+
+@contextlib.asynccontextmanager
+async def a_host(made: MemoryHub) -> Any:
+    """The host of a component that does nothing."""
+
+    async def wait(_: Host) -> None:
+        await asyncio.Event().wait()
+
+    kind = driver_of(wait)
+    async with supervised(made, kind):
+        await asyncio.sleep(0.01)
+        yield kind.hosts[0]
+
+
+@inside(in_hub)
+async def test_stop_by_a_component_reaches_a_robot_that_another_drives_and_says_what_was_measured(
+    made: MemoryHub,
+) -> None:
+    device = await made.connect()
+    async with a_host(made) as host, supervised(made, driver_of(drive_for_ever)):
+        await asyncio.sleep(1.0)
+        assert velocities(device)[-1] == (0.1, 0.0)
+        stopped = await host.stop(by="a button")
+        assert set(stopped.robots) == {"robot_0"}
+        assert stopped.unreached == ()
+        await asyncio.sleep(0.05)
+        assert velocities(device)[-1] == (0.0, 0.0)
+
+
+@inside(in_hub)
+async def test_lock_of_one_and_of_all_refuses_commands_until_unlock(made: MemoryHub) -> None:
+    await made.connect()
+    async with a_host(made) as host:
+        me = host.join("arm")
+        for name in ("robot_0", None):
+            assert await host.lock(name, reason="a person", by="a button") == ()
+            assert host.robot("robot_0").lock_reason == "a person"
+            with pytest.raises(CommandRefused, match="a person"):
+                host.drive(me, "robot_0", FORWARD)
+            await host.unlock(name, by="a button")
+            assert host.robot("robot_0").lock_reason is None
+        assert host.drive(me, "robot_0", FORWARD, epoch=host.robot("robot_0").epoch) == FORWARD
+        assert [robot.name for robot in host.robots()] == ["robot_0"]
+
+
+@inside(in_hub)
+async def test_command_that_waited_or_was_made_before_a_stop_is_refused(made: MemoryHub) -> None:
+    device = await made.connect()
+    async with a_host(made) as host:
+        me = host.join("arm")
+        epoch = host.robot("robot_0").epoch
+        host.drive(me, "robot_0", FORWARD, received_s=host.now_s, epoch=epoch)
+        await host.stop(by="a button", wait_s=0.0)
+        sent = len(velocities(device))
+        with pytest.raises(CommandRefused):
+            host.drive(me, "robot_0", FORWARD, epoch=epoch)
+        with pytest.raises(CommandRefused):
+            host.drive(me, "robot_0", FORWARD, received_s=host.now_s - 1.0, epoch=host.robot("robot_0").epoch)
+        assert all(each == (0.0, 0.0) for each in velocities(device)[sent - 1 :])
+
+
+@inside(in_hub)
+async def test_unknown_robot_and_lower_role_are_refused(made: MemoryHub) -> None:
+    await made.connect()
+    async with a_host(made) as host:
+        me = host.join("arm")
+        for work in (
+            host.stop("robot_9", by="x"),
+            host.lock("robot_9", reason="x", by="x"),
+            host.unlock("robot_9", by="x"),
+        ):
+            with pytest.raises(UnknownTopic, match="robot_0"):
+                await work
+        with pytest.raises(UnknownTopic):
+            host.robot("robot_9")
+        with pytest.raises(UnknownTopic):
+            host.follow("robot_9", lambda: None)
+        with pytest.raises(UnknownTopic):
+            host.drive(me, "robot_9", FORWARD)
+        with pytest.raises(NoRole):
+            host.drive(host.join("reader", role=Role.READ), "robot_0", FORWARD)
+
+
+@inside(in_hub)
+async def test_observers_of_a_component_end_with_its_run(made: MemoryHub) -> None:
+    device = await made.connect()
+    events: list[RobotEvent] = []
+    poses: list[None] = []
+    graphs: list[None] = []
+    async with a_host(made) as host:
+        host.observe(events.append)
+        host.follow("robot_0", lambda: poses.append(None))
+        host.watch_graph(lambda: graphs.append(None))
+        await device.send(125, struct.pack("<3d", 0.0, 0.0, 0.0))
+        host.join("arm").advertise("/chatter", "std_msgs/String")
+        await host.lock(reason="x", by="x")
+        await asyncio.sleep(0.5)
+        assert events
+        assert poses
+        assert graphs
+    seen = len(events), len(poses), len(graphs)
+    made.robot().unlock()
+    await asyncio.sleep(1.0)
+    assert (len(events), len(poses), len(graphs)) == seen
+    assert all(topic.name != "/chatter" for topic in made.hub.topics.all())
+
+
+@inside(in_hub)
+async def test_counters_and_troubles_are_shown_and_a_participant_that_left_is_forgotten(made: MemoryHub) -> None:
+    async with a_host(made) as host:
+        host.count("sent")
+        host.count("sent", 2)
+        assert made.hub.counts.components["driver"]()["sent"] == 3
+        host.report("the broker does not answer")
+        assert codes(made) == ["component_troubled"]
+        host.report("")
+        assert codes(made) == []
+        for number in range(100):
+            host.join(f"program {number}").leave()
+        assert len(host._participants) == 1
+        assert host.listening == made.hub.listening
+        host.log.info("driver.done")
+    assert made.logged("driver.done")[0]["component"] == "driver"
+
+
+# -- which components run ---------------------------------------------------------------------------------------------
+
+
+def config_of(tmp_path: Path, text: str) -> Config:
+    path = tmp_path / "hostlink.toml"
+    path.write_text(text)
+    return load(path)
+
+
+@pytest.mark.usefixtures("entry_points")
+def test_component_runs_by_its_table_or_by_its_switch(tmp_path: Path) -> None:
+    for text, wanted in (
+        ("", []),
+        ("[driver]", [("driver", Settings())]),
+        ("[components]\ndriver = true", [("driver", Settings())]),
+        ("[driver]\nspeed_m_s = 0.2\n[components]\ndriver = false", []),
+        (
+            '[driver]\nspeed_m_s = 0.2\nfolder = "keys"\ntags = ["a"]',
+            [("driver", Settings(speed_m_s=0.2, folder=tmp_path / "keys", tags=("a",)))],
+        ),
+        ("[needy]\nport = 1", [("needy", Needy(port=1))]),
+    ):
+        chosen = chosen_components(config_of(tmp_path, text))
+        assert [(name, settings) for name, _, settings in chosen] == wanted
+
+
+@pytest.mark.usefixtures("entry_points")
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("[drivr]", "unknown key drivr"),
+        ("component_settings = 1", "unknown key component_settings; each component has a table of its own name"),
+        ("[driver]\nspeed = 1", "unknown key driver.speed; did you mean speed_m_s?"),
+        ("[driver]\nspeed_m_s = 'x'", "Expected `float`, got `str` - at `$.driver.speed_m_s`"),
+        ("driver = 3", "Expected `object`, got `int` - at `$.driver`"),
+        ("[needy]", "Object missing required field `port` - at `$.needy`"),
+        ("[components]\nneedy = true", "it needs a table [needy] with its settings"),
+        ("[components]\ndrivr = true", "no installed package has this component; known: broken, driver"),
+        ("[components]\ndriver = 1", "Expected `bool`, got `int`"),
+        ("[broken]", "no_such_module:X cannot be imported: ModuleNotFoundError"),
+        ("[module]", f"{__name__}:Settings is not a subclass of Component"),
+        ("[other]", f"{__name__}:Driver has the name driver"),
+    ],
+)
+def test_component_that_cannot_run_is_named_with_its_reason(tmp_path: Path, text: str, problem: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        chosen_components(config_of(tmp_path, text))
+    assert problem in str(caught.value)
+
+
+def test_installed_components_are_known_by_name() -> None:
+    assert all(find_component(name).name == name for name in components.installed())
