@@ -27,7 +27,7 @@ MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
 MAX_ROS_DOMAIN_ID = 232
 ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # part of a Zenoh key
 
-_OF_TABLES = "component_settings"  # field of `Config` that is no key of the file
+_OF_TABLES = "component_settings"  # field of `Config`, not a key of the file
 
 ParameterScalar = bool | int | float | str
 ParameterValue = ParameterScalar | list[ParameterScalar]
