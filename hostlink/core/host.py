@@ -73,7 +73,7 @@ class Component(Generic[Settings]):
 
 
 class Host:
-    """Interface of one run of a component. All that the run takes by it ends with the run: robots that it drives stop."""
+    """Interface of one run of a component. All that the run takes by it ends with the run: its robots stop."""
 
     def __init__(
         self, hub: Hub, name: str, spawn: Callable[[Coroutine[Any, Any, object], str], None], counts: Counter[str]
