@@ -13,7 +13,6 @@ import socket
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
-from time import thread_time
 from typing import Any
 
 import structlog
@@ -25,31 +24,22 @@ from hostlink.cli.output import quantity, write, write_error
 from hostlink.components.gateway.server import serve_api
 from hostlink.components.recorder.recordings import Recordings
 from hostlink.components.recorder.robot_names import kept_names, names_file
-from hostlink.core.components import chosen_components, supervise
-from hostlink.core.config import Config, UdpConfig
+from hostlink.core import running as core
+from hostlink.core.config import Config
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.hub.gates import Guard
-from hostlink.core.hub.hub import Hub, Listening
+from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.reloader import Read, Reloader
 from hostlink.core.hub.robots import Robots
-from hostlink.core.hub.stall_watch import slept_s
-from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
-from hostlink.core.messages.catalog import Catalog
 from hostlink.core.runtime import logs
-from hostlink.core.runtime.cancellation import first_error, meanwhile
-from hostlink.core.runtime.detached import DetachedThread
 from hostlink.core.runtime.listening import close_all, spelled
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.logs import printable
-from hostlink.core.transport.tcp import advertised, serve_tcp
-from hostlink.core.transport.udp import serve_udp
 
 # -- serve ------------------------------------------------------------------------------------------------------------
 
 log = structlog.get_logger()
 
-# To open the serial ports: a USB adapter needs milliseconds, a reset of its board a tenth of a second.
-FIRST_TRY_S = 2.0
 SWITCH_INTERVAL_S = 0.0005  # a tenth of Python's default
 M_MMAP_THRESHOLD = -3  # of malloc.h
 LARGE_BYTES = 128 * 1024  # glibc's own threshold at the start
@@ -67,11 +57,18 @@ OnGraphEnd = Callable[[str], None]
 class Addresses:
     """Addresses on which a running daemon listens; a port 0 of the configuration is replaced by the chosen one."""
 
-    tcp: tuple[str, int]
+    devices: core.Addresses
     api: str
-    udp: tuple[str, int] | None = None
-    serial: tuple[str, ...] = ()  # open ports
-    missing: tuple[str, ...] = ()  # ports that are waited for
+
+    @property
+    def tcp(self) -> tuple[str, int]:
+        """Address for devices over TCP."""
+        return self.devices.tcp
+
+    @property
+    def udp(self) -> tuple[str, int] | None:
+        """Address for devices over UDP; None if there is none."""
+        return self.devices.udp
 
 
 @contextlib.asynccontextmanager
@@ -84,53 +81,45 @@ async def running(
     read: Read | None = None,
     listening: Sequence[socket.socket] = (),
 ) -> AsyncIterator[tuple[Hub, Addresses]]:
-    """Run the whole daemon for the length of a block.
+    """Run the whole daemon for the length of a block: the core, recordings, graphs and the API.
 
-    However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
     `on_graph_end` is called with the reason when this node of a ROS graph was shut down by ROS. `on_listening` is
     called when every port is open. `read` reads the configuration again, as a new start would. `listening` are the
     sockets for devices, if they are open already.
     """
-    folders = (
-        config.message_folders
-    )  # one may be on a dead disk, while the event loop must still receive the signal that ends it
-    catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
-    hub = Hub(config, catalog, guard=guard, slept_s=slept_s, computed_s=thread_time)
-    reloader = Reloader(hub, read)
-    try:
+    api = ""
+
+    @contextlib.asynccontextmanager
+    async def parts(hub: Hub) -> AsyncIterator[None]:
+        nonlocal api
+        reloader = Reloader(hub, read)
         async with (
             complaints_logged(),
-            _hub_running(hub),
             kept_names(hub, names_file(config)),
             _recordings(hub) as recordings,
             _graphs(hub, config, on_graph_end),
-            _components(hub, config),
-            _listening(hub, config, recordings, reloader, listening, on_listening) as addresses,
+            serve_api(hub, recordings, reloader) as api,
         ):
-            udp = {} if addresses.udp is None else {"udp": spelled(*addresses.udp)}
-            loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
-            ports = {"serial": list(addresses.serial), "missing": list(addresses.missing)} if config.serial else {}
-            log.info("daemon.started", tcp=spelled(*addresses.tcp), api=addresses.api, loop=loop, **udp, **ports)
-            try:
-                yield hub, addresses
-            except Exception as error:
-                log.exception("daemon.failed", cause=repr(error))
-                raise
-            finally:
-                log.info("daemon.stopping")
-                await hub.shutdown()
-    except BaseExceptionGroup as group:  # one error is one line; the others follow from it
-        raise first_error(group) from None
+            with reload_signal(reloader):
+                yield
+
+    async with core.running(config, guard=guard, around=[parts], on_listening=on_listening, listening=listening) as (
+        hub,
+        devices,
+    ):
+        udp = {} if devices.udp is None else {"udp": spelled(*devices.udp)}
+        loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
+        ports = {"serial": list(devices.serial), "missing": list(devices.missing)} if config.serial else {}
+        log.info("daemon.started", tcp=spelled(*devices.tcp), api=api, loop=loop, **udp, **ports)
+        try:
+            yield hub, Addresses(devices, api)
+        except Exception as error:
+            log.exception("daemon.failed", cause=repr(error))
+            raise
+        finally:
+            log.info("daemon.stopping")
     logs.log_what_is_missing()
     log.info("daemon.stopped")
-
-
-@contextlib.asynccontextmanager
-async def _hub_running(hub: Hub) -> AsyncIterator[None]:
-    """Run the hub in a task group of its own, so that links live until they were shut down."""
-    async with meanwhile(("hub", hub.run())):
-        await hub.is_running.wait()
-        yield
 
 
 @contextlib.asynccontextmanager
@@ -145,66 +134,6 @@ async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
 
 
 @contextlib.asynccontextmanager
-async def _listening(
-    hub: Hub,
-    config: Config,
-    recordings: Recordings,
-    reloader: Reloader,
-    listening: Sequence[socket.socket],
-    on_listening: Callable[[], None],
-) -> AsyncIterator[Addresses]:
-    """Open the listeners for devices and programs, and the serial ports."""
-    async with (
-        serve_api(hub, recordings, reloader) as api,
-        contextlib.AsyncExitStack() as last,  # mDNS may be slow
-    ):
-        acceptor = TcpAcceptor(hub, config.tcp)
-        tried = [asyncio.Event() for _ in config.serial]
-        async with (
-            serve_tcp(
-                config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, listening=listening
-            ) as listener,
-            _datagrams(hub, config.udp) as udp,
-            meanwhile(
-                *(
-                    (port.name, serve_serial(hub, port, on_tried=event.set))
-                    for port, event in zip(config.serial, tried, strict=True)
-                )
-            ),
-        ):
-            on_listening()
-            await last.enter_async_context(advertised(config.tcp, listener.address))
-            last.enter_context(reload_signal(reloader))
-            hub.listening = Listening(listener.address, udp)
-            await _all_set(tried)
-            missing = tuple(port.name for port in config.serial if port.name in hub.diagnoses.ports)
-            serial = tuple(port.name for port in config.serial if port.name not in missing)
-            yield Addresses(listener.address, api, udp, serial, missing)
-
-
-async def _all_set(events: Sequence[asyncio.Event]) -> None:
-    """Wait until every serial port was tried once, so that the first lines of the log say which are missing."""
-    with contextlib.suppress(TimeoutError):  # a driver that hangs
-        async with asyncio.timeout(FIRST_TRY_S):
-            for event in events:
-                await event.wait()
-
-
-@contextlib.asynccontextmanager
-async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[str, int] | None]:
-    """Open the UDP port for devices, if one is configured."""
-    if config is None:
-        yield None
-        return
-    acceptor = UdpAcceptor(hub, config)
-    async with (
-        serve_udp(config, hub.counts.datagrams_dropped, acceptor.receive) as ports,
-        meanwhile(("invitations over UDP", acceptor.invite(ports))),
-    ):
-        yield ports[0].address[:2]
-
-
-@contextlib.asynccontextmanager
 async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator[None]:
     """Connect to the graphs of ROS 1 and Zenoh that are configured; the modules of the others are not imported."""
     async with contextlib.AsyncExitStack() as graphs:
@@ -214,15 +143,6 @@ async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator
         if config.ros1.master:
             module = importlib.import_module("hostlink.components.ros1.node")
             await graphs.enter_async_context(module.ros1_running(hub, config.ros1, on_end))
-        yield
-
-
-@contextlib.asynccontextmanager
-async def _components(hub: Hub, config: Config) -> AsyncIterator[None]:
-    """Run the components of other packages that the settings switch on."""
-    async with meanwhile(
-        *((name, supervise(hub, kind, settings)) for name, kind, settings in chosen_components(config))
-    ):
         yield
 
 

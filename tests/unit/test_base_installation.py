@@ -34,7 +34,7 @@ def test_daemon_recorder_and_client_load_without_the_extras() -> None:
         "hostlink.cli.export, hostlink.components.recorder.salvage, hostlink.components.recorder.export, "
         "hostlink.client, hostlink.components.ros1.node, hostlink.board.library"
     )
-    done = run(f"import {modules}; hostlink.cli.serve.Catalog().message('nav_msgs/Odometry').md5")
+    done = run(f"import {modules}; hostlink.core.messages.catalog.Catalog().message('nav_msgs/Odometry').md5")
     assert (done.returncode, done.stderr) == (0, "")
 
 

@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 
 import hostlink.client
+import hostlink.core.host
 from hostlink.core import config
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
 FENCED = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CLASSES = {"host": "Host", "robot": "Robot", "messages": "Mailbox", "stream": "Stream"}
+CORE = {"host": "Host", "robot": "RobotState"}
 BLOCKING = {"host": "BlockingHost", "robot": "BlockingRobot", "messages": "Messages", "stream": "Stream"}
 
 
@@ -24,10 +26,16 @@ def snippets(language: str) -> Iterator[tuple[str, str]]:
                 yield f"{path.name}: {text.splitlines()[0]}", text
 
 
+def is_member(kind: type, name: str) -> bool:
+    return hasattr(kind, name) or name in getattr(kind, "__annotations__", ())
+
+
 def unknown_names(code: str) -> list[str]:
     """Return names of hostlink.client, of a host or of a robot that a snippet uses and that do not exist."""
     tree = compile(code, "snippet", "exec", ast.PyCF_ONLY_AST | ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
-    classes = BLOCKING if "connect_blocking" in code else CLASSES
+    is_core = "hostlink.core.host" in code
+    classes = CORE if is_core else BLOCKING if "connect_blocking" in code else CLASSES
+    module = hostlink.core.host if is_core else hostlink.client
     wrong = []
     for node in ast.walk(tree):
         if not isinstance(node, ast.Attribute):
@@ -35,7 +43,7 @@ def unknown_names(code: str) -> list[str]:
         owner = ast.unparse(node.value)
         if owner == "hostlink.client" and not hasattr(hostlink.client, node.attr):
             wrong.append(f"{owner}.{node.attr}")
-        if owner in classes and not hasattr(getattr(hostlink.client, classes[owner]), node.attr):
+        if owner in classes and not is_member(getattr(module, classes[owner]), node.attr):
             wrong.append(f"{owner}.{node.attr}")
     return wrong
 

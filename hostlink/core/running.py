@@ -1,0 +1,169 @@
+"""The core at work: a hub, the listeners for devices, the components. `serving` is all of it for a Python program."""
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from dataclasses import dataclass
+from socket import socket
+from time import thread_time
+from typing import Any
+
+from hostlink.core.components import chosen_components, supervise
+from hostlink.core.config import Config, UdpConfig
+from hostlink.core.guardian.guardian import guarded
+from hostlink.core.host import Host
+from hostlink.core.hub.gates import Guard
+from hostlink.core.hub.hub import Hub, Listening
+from hostlink.core.hub.stall_watch import slept_s
+from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.runtime.cancellation import first_error, meanwhile
+from hostlink.core.runtime.detached import DetachedThread
+from hostlink.core.transport.tcp import advertised, serve_tcp
+from hostlink.core.transport.udp import serve_udp
+
+# To open the serial ports: a USB adapter needs milliseconds, a reset of its board a tenth of a second.
+FIRST_TRY_S = 2.0
+
+Around = Callable[[Hub], contextlib.AbstractAsyncContextManager[object]]
+
+
+@dataclass(frozen=True, slots=True)
+class Addresses:
+    """Addresses on which devices connect; a port 0 of the configuration is replaced by the chosen one."""
+
+    tcp: tuple[str, int]
+    udp: tuple[str, int] | None = None
+    serial: tuple[str, ...] = ()  # open ports
+    missing: tuple[str, ...] = ()  # ports that are waited for
+
+
+@contextlib.asynccontextmanager
+async def serving(config: Config | None = None) -> AsyncIterator[Host]:
+    """Hold the robots of these settings for the length of a block: docs/embedding.md.
+
+    With the guardian, a second process, the robots also stop when this process is killed or hangs. At the end of the
+    block every robot is stopped and every device is sent its stop.
+
+    Raises:
+        ConfigError: the settings cannot be served, for example because a port is in use.
+    """
+    config = Config() if config is None else config
+    with guarded(is_wanted=config.guardian) as guardian:
+        async with (
+            running(config, guard=guardian, on_listening=lambda: None if guardian is None else guardian.start()) as (
+                hub,
+                _,
+            ),
+            asyncio.TaskGroup() as tasks,
+        ):
+            spawned: list[asyncio.Task[object]] = []
+
+            def spawn(work: Coroutine[Any, Any, object], name: str) -> None:
+                spawned.append(tasks.create_task(work, name=name))
+
+            host = Host(hub, "program", spawn, Counter())
+            try:
+                yield host
+            finally:
+                host.close()
+                for task in spawned:
+                    task.cancel()
+
+
+@contextlib.asynccontextmanager
+async def running(
+    config: Config,
+    *,
+    guard: Guard | None = None,
+    around: Sequence[Around] = (),
+    on_listening: Callable[[], None] = lambda: None,
+    listening: Sequence[socket] = (),
+) -> AsyncIterator[tuple[Hub, Addresses]]:
+    """Run a hub with its listeners and components for the length of a block.
+
+    However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
+    `around` are parts that begin before the first device is accepted, and end after the robots were stopped.
+    `on_listening` is called when every port is open. `listening` are the sockets for devices, if they are open already.
+    """
+    folders = config.message_folders  # one may be on a dead disk: the loop must still receive the signal that ends it
+    catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
+    hub = Hub(config, catalog, guard=guard, slept_s=slept_s, computed_s=thread_time)
+    try:
+        async with _hub_running(hub), contextlib.AsyncExitStack() as before:
+            for enter in around:
+                await before.enter_async_context(enter(hub))
+            async with _components(hub, config), _listening(hub, config, listening, on_listening) as addresses:
+                try:
+                    yield hub, addresses
+                finally:
+                    await hub.shutdown()
+    except BaseExceptionGroup as group:  # one error is one line; the others follow from it
+        raise first_error(group) from None
+
+
+@contextlib.asynccontextmanager
+async def _hub_running(hub: Hub) -> AsyncIterator[None]:
+    """Run the hub in a task group of its own, so that links live until they were shut down."""
+    async with meanwhile(("hub", hub.run())):
+        await hub.is_running.wait()
+        yield
+
+
+@contextlib.asynccontextmanager
+async def _components(hub: Hub, config: Config) -> AsyncIterator[None]:
+    """Run the components that the settings switch on."""
+    async with meanwhile(
+        *((name, supervise(hub, kind, settings)) for name, kind, settings in chosen_components(config))
+    ):
+        yield
+
+
+@contextlib.asynccontextmanager
+async def _listening(
+    hub: Hub, config: Config, listening: Sequence[socket], on_listening: Callable[[], None]
+) -> AsyncIterator[Addresses]:
+    """Open the listeners for devices, and the serial ports."""
+    acceptor = TcpAcceptor(hub, config.tcp)
+    tried = [asyncio.Event() for _ in config.serial]
+    async with (
+        contextlib.AsyncExitStack() as last,  # mDNS may be slow
+        serve_tcp(config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, listening=listening) as listener,
+        _datagrams(hub, config.udp) as udp,
+        meanwhile(
+            *(
+                (port.name, serve_serial(hub, port, on_tried=event.set))
+                for port, event in zip(config.serial, tried, strict=True)
+            )
+        ),
+    ):
+        on_listening()
+        await last.enter_async_context(advertised(config.tcp, listener.address))
+        hub.listening = Listening(listener.address, udp)
+        await _all_set(tried)
+        missing = tuple(port.name for port in config.serial if port.name in hub.diagnoses.ports)
+        serial = tuple(port.name for port in config.serial if port.name not in missing)
+        yield Addresses(listener.address, udp, serial, missing)
+
+
+async def _all_set(events: Sequence[asyncio.Event]) -> None:
+    """Wait until every serial port was tried once, so that the first lines of the log say which are missing."""
+    with contextlib.suppress(TimeoutError):  # a driver that hangs
+        async with asyncio.timeout(FIRST_TRY_S):
+            for event in events:
+                await event.wait()
+
+
+@contextlib.asynccontextmanager
+async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[str, int] | None]:
+    """Open the UDP port for devices, if one is configured."""
+    if config is None:
+        yield None
+        return
+    acceptor = UdpAcceptor(hub, config)
+    async with (
+        serve_udp(config, hub.counts.datagrams_dropped, acceptor.receive) as ports,
+        meanwhile(("invitations over UDP", acceptor.invite(ports))),
+    ):
+        yield ports[0].address[:2]
