@@ -84,11 +84,11 @@ async def yardstick(environment: dict[str, str], count: int) -> list[float]:
 async def from_device(device: FakeDevice, other: Peer, count: int) -> list[float]:
     await other.do("subscribe", topic=SENSOR.name, type=FLOAT64)
     while len(other.messages(SENSOR.name)) < 10:
-        await device.send(encode(SENSOR.topic_id, struct.pack("<d", time.monotonic())))
+        await device.send(encode(SENSOR.id, struct.pack("<d", time.monotonic())))
         await asyncio.sleep(1 / RATE_HZ)
     due_s, begun = time.monotonic(), len(other.messages(SENSOR.name))
     for _ in range(count):
-        await device.send(encode(SENSOR.topic_id, struct.pack("<d", time.monotonic())))
+        await device.send(encode(SENSOR.id, struct.pack("<d", time.monotonic())))
         due_s += 1 / RATE_HZ
         await asyncio.sleep(max(0.0, due_s - time.monotonic()))
     with contextlib.suppress(TimeoutError):  # those on their way; what is lost shows in the count
@@ -103,7 +103,7 @@ async def to_device(device: FakeDevice, other: Peer, count: int) -> list[float]:
     found: list[float] = []
     while len(found) < count + SKIPPED:
         frame = await device.next()
-        if frame.topic_id == SERVO.topic_id:
+        if frame.topic_id == SERVO.id:
             if len(found) % TIME_EVERY == 0:  # a device that sends nothing for 11 s is gone
                 await device.send(encode(Id.TIME, bytes(8)))
             found.append(time.monotonic() - struct.unpack("<d", frame.payload)[0])

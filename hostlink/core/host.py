@@ -108,6 +108,7 @@ class Host:
         received_s: float | None = None,
         sent_s: float | None = None,
         epoch: int | None = None,
+        take_over: bool = False,
     ) -> PlanarVelocity:
         """Drive a robot for the length of its lease, 0.5 s. Return the velocity after the robot's limits.
 
@@ -115,7 +116,7 @@ class Host:
         broker, a buffer or a queue, is refused if the component says what it knows of it: `received_s` is the earliest
         time, by `now_s`, at which this computer may have received it (None: now); `sent_s` is its sender's time, by the
         sender's own clock. `epoch`: the `RobotState.epoch` that its sender knew: a command from before a stop is
-        refused.
+        refused. `take_over`: from another source of the same priority, which is refused from then on.
 
         Raises:
             UnknownTopic: there is no robot of this name.
@@ -124,7 +125,9 @@ class Host:
             DeviceGone, FrameTooLarge, WrongType: the robot could not be sent the command.
         """
         found = self._hub.robots.find(robot, driver=lambda: participant)
-        return participant.drive(found, velocity, received_s=received_s, sent_s=sent_s, epoch=epoch)
+        return participant.drive(
+            found, velocity, received_s=received_s, sent_s=sent_s, epoch=epoch, take_over=take_over
+        )
 
     async def stop(self, robot: str | None = None, *, by: str, wait_s: float = 1.5) -> Stopped:
         """Stop a robot; None: every robot and every board. Everybody may stop. The zero is sent before this waits.

@@ -462,7 +462,9 @@ def test_guardian_program_imports_the_standard_library_alone() -> None:
         "structlog",
     }
     assert {name for name in modules if name.startswith("hostlink.")} == {
+        "hostlink.core",
         "hostlink.core.guardian",
+        "hostlink.core.runtime",
         "hostlink.core.runtime.remains",
         *(f"hostlink.core.guardian.{part}" for part in ("process", "connection", "frames", "records")),
     }

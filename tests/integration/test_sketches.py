@@ -16,7 +16,6 @@ from hostlink.core.config import Config, load
 from hostlink.core.hub.reloader import places_of
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.core.protocol.rosserial.frame import Id
 from hostlink.core.robot.model import Endpoint, actuators, find_robot, suggestion, unguarded
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.fake_device import CATALOG
@@ -41,7 +40,7 @@ def infos(program: dict[str, Any]) -> list[DeviceEndpoint]:
     for number, each in enumerate(endpoints(program)):
         known = CATALOG.message(each.type_name)
         md5 = "0" * 32 if known is None else known.md5
-        kind = Id.SUBSCRIBER if each.is_to_device else Id.PUBLISHER
+        kind = EndpointKind.SUBSCRIBER if each.is_to_device else EndpointKind.PUBLISHER
         made.append(DeviceEndpoint(kind, 100 + number, each.name, each.type_name, md5, 512))
     return made
 

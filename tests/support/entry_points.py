@@ -45,6 +45,7 @@ from hostlink.components.zenoh.rmw_protocol import (
 )
 from hostlink.components.zenoh.session import ZenohSession
 from hostlink.core.config import Config, ZenohConfig
+from hostlink.core.host import Host
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
 from hostlink.core.hub.robot_topic_publisher import twist_topic
@@ -667,6 +668,27 @@ class UdpPublisher(DevicePublisher):
 
 
 # -- parts of the daemon ----------------------------------------------------------------------------------------------
+
+
+class ComponentDrive(EntryPoint):
+    """A component of another package."""
+
+    async def begin(self) -> None:
+        self._host = Host(self.made.hub, "arm", lambda work, _: work.close(), Counter())
+        self._participant = self._host.join("arm")
+
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        self._host.drive(
+            self._participant,
+            ROBOT,
+            PlanarVelocity(speed_m_s, left_m_s),
+            received_s=_now_s() - self.late_s,
+            epoch=epoch,
+            take_over=self.take_over,
+        )
+
+    async def vanish(self) -> None:
+        self._host.close()
 
 
 class Demo(EntryPoint):

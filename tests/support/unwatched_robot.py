@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 
-from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import Id, encode
 from tests.support.background import meanwhile
@@ -57,7 +57,11 @@ class UnwatchedRobot:
     def topics(self) -> list[DeviceEndpoint]:
         """Topics that the robot announces."""
         blob = topic(
-            Id.SUBSCRIBER, BLOB_ID, f"/{self.name}/blob", "std_msgs/UInt8MultiArray", buffer_bytes=BLOB_BUFFER_BYTES
+            EndpointKind.SUBSCRIBER,
+            BLOB_ID,
+            f"/{self.name}/blob",
+            "std_msgs/UInt8MultiArray",
+            buffer_bytes=BLOB_BUFFER_BYTES,
         )
         return [*robot_topics(self.name), *([blob] if self.reading.with_blobs else [])]
 

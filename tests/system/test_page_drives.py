@@ -71,7 +71,7 @@ async def board(browser: Browser, kinematics: Any) -> AsyncIterator[Board]:
     """A device without odometry, and the page on which it is driven."""
     config = Config(robots={"robot_0": RobotConfig(kinematics=kinematics)})
     topics = [topic(EndpointKind.SUBSCRIBER, 100, "/robot_0/cmd_vel", "geometry_msgs/Twist")]
-    assert robot_topics()[1].topic_id == topics[0].topic_id
+    assert robot_topics()[1].id == topics[0].id
     async with (
         daemon(config) as host,
         fake_device(host.tcp, topics) as device,

@@ -120,7 +120,7 @@ async def test_message_of_rclpy_reaches_the_device_and_programs(environment: dic
         async with asyncio.timeout(DISCOVERY_S):
             while True:
                 frame = await device.next()
-                if frame.topic_id == SERVO.topic_id:
+                if frame.topic_id == SERVO.id:
                     break
         assert frame.payload == struct.pack("<d", math.inf)
         async with asyncio.timeout(DISCOVERY_S):

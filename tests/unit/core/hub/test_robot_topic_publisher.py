@@ -80,7 +80,7 @@ async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) 
     assert observed.pose.x_m == 4.0
 
 
-@pytest.mark.parametrize("kind", [Id.PUBLISHER, Id.SUBSCRIBER])
+@pytest.mark.parametrize("kind", [EndpointKind.PUBLISHER, EndpointKind.SUBSCRIBER])
 @pytest.mark.parametrize("name", list(TYPES))
 @pytest.mark.parametrize("is_known", [True, False])
 @inside(play_crowd)

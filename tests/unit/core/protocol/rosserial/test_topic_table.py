@@ -1,14 +1,13 @@
 """TopicTable: lookup by id and name, and the bound on topics."""
 
 from hostlink.core.protocol import events
-from hostlink.core.protocol.endpoint import DeviceEndpoint
-from hostlink.core.protocol.rosserial.frame import Id
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.rosserial.session import Session
 from hostlink.core.protocol.rosserial.topic_table import MAX_MISSED, MAX_TOPICS, TopicTable
 from tests.support.session_host import LED, ODOMETRY, TIME, Host, check, wire
 
 
-def info(topic_id: int, name: str, kind: Id = Id.PUBLISHER) -> DeviceEndpoint:
+def info(topic_id: int, name: str, kind: EndpointKind = EndpointKind.PUBLISHER) -> DeviceEndpoint:
     return DeviceEndpoint(kind, topic_id, name, "std_msgs/Bool", "m", 64)
 
 
@@ -21,18 +20,18 @@ def table(*infos: DeviceEndpoint) -> TopicTable:
 
 
 def test_name_is_found_during_and_after_a_negotiation() -> None:
-    made = table(info(125, "/a"), info(100, "/a", Id.SUBSCRIBER))
+    made = table(info(125, "/a"), info(100, "/a", EndpointKind.SUBSCRIBER))
     for _ in range(2):
-        assert made.by_name.get(("/a", Id.PUBLISHER)) == info(125, "/a")
-        assert made.by_name.get(("/a", Id.SUBSCRIBER)) == info(100, "/a", Id.SUBSCRIBER)
-        assert made.by_name.get(("/b", Id.PUBLISHER)) is None
+        assert made.by_name.get(("/a", EndpointKind.PUBLISHER)) == info(125, "/a")
+        assert made.by_name.get(("/a", EndpointKind.SUBSCRIBER)) == info(100, "/a", EndpointKind.SUBSCRIBER)
+        assert made.by_name.get(("/b", EndpointKind.PUBLISHER)) is None
         made.finish()
 
 
 def test_duplicate_name_belongs_to_the_first_endpoint() -> None:
     made = table(info(125, "/a"), info(126, "/a"))
     for _ in range(2):
-        assert made.by_name.get(("/a", Id.PUBLISHER)) == info(125, "/a")
+        assert made.by_name.get(("/a", EndpointKind.PUBLISHER)) == info(125, "/a")
         made.finish()
 
 
@@ -41,16 +40,16 @@ def test_name_with_a_changed_id_is_found_under_the_new_id() -> None:
     made.finish()
     made.begin()
     made.add(info(126, "/a"), None)
-    assert made.by_name.get(("/a", Id.PUBLISHER)) == info(126, "/a")
+    assert made.by_name.get(("/a", EndpointKind.PUBLISHER)) == info(126, "/a")
     made.finish()
-    assert made.by_name.get(("/a", Id.PUBLISHER)) == info(126, "/a")
+    assert made.by_name.get(("/a", EndpointKind.PUBLISHER)) == info(126, "/a")
 
 
 def test_id_with_a_changed_name_is_not_found_under_the_old_name() -> None:
     made = table(info(125, "/a"))
     made.add(info(125, "/b"), None)
-    assert made.by_name.get(("/a", Id.PUBLISHER)) is None
-    assert made.by_name.get(("/b", Id.PUBLISHER)) == info(125, "/b")
+    assert made.by_name.get(("/a", EndpointKind.PUBLISHER)) is None
+    assert made.by_name.get(("/b", EndpointKind.PUBLISHER)) == info(125, "/b")
 
 
 def many(count: int) -> bytes:
@@ -125,4 +124,4 @@ def test_refused_endpoint_is_not_kept() -> None:
     made.add(info(125, "/a"), 1)
     made.finish(refused=(126,))
     assert made.fixed_bytes == {125: 1}
-    assert made.by_name.get(("/b", Id.PUBLISHER)) is None
+    assert made.by_name.get(("/b", EndpointKind.PUBLISHER)) is None
