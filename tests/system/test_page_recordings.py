@@ -5,6 +5,7 @@ import contextlib
 import re
 from pathlib import Path
 
+import aiohttp
 import pytest
 from axe_playwright_python.async_playwright import Axe
 from playwright.async_api import Browser, Locator, Page
@@ -65,6 +66,16 @@ async def drive(tab: Visit, host: Daemon) -> None:
                 await expect(lambda: odometry.snapshot(0.0).pose.x_m > DRIVEN_M, timeout_s=TIMEOUT_S / 5)
 
 
+async def another_incident(page: Page, host: Daemon) -> None:
+    """The list is loaded again while an incident of it is open."""
+    async with (
+        aiohttp.ClientSession() as session,
+        session.post(host.url + "/api/incidents", json={"robot": "robot_0", "reason": "another"}) as response,
+    ):
+        assert response.status == 200, await response.text()
+    await expect_page(page.locator("#incidents li")).to_have_count(2)
+
+
 async def test_an_incident_from_the_cut_link_to_its_plots_and_its_file(browser: Browser, tmp_path: Path) -> None:
     async with (
         daemon(config(tmp_path / "kept"), has_black_box=True) as host,
@@ -100,6 +111,7 @@ async def test_an_incident_from_the_cut_link_to_its_plots_and_its_file(browser: 
             assert await page.evaluate("document.documentElement.scrollWidth") == viewport["width"]
             await expect_page(page.locator("#stop")).to_be_visible()
         path = await downloaded(page, opened.get_by_role("link", name="Download"), tmp_path)
+        await another_incident(page, host)
         await opened.get_by_role("button", name="Close").click()
         await expect_page(item.get_by_role("button", name="Open")).to_be_focused()
         assert tab.complaints == []

@@ -1,7 +1,7 @@
 /** The incidents panel: incidents of robots, the newest first. Each opens with its path, plots and log. */
 
 import "./style/recordings.css";
-import { make, setText } from "./dom";
+import { arrange, make, setText } from "./dom";
 import { makeDownload } from "./download";
 import type { Page } from "./page";
 import { reasonOf, rest } from "./rest";
@@ -26,6 +26,7 @@ class Incidents {
   private readonly state = make("p", { class: "hint", role: "status" });
   private readonly window = new StoredWindow();
   private known = "";
+  private items = new Map<string, HTMLElement>(); // what the list shows, by the whole content of each
 
   constructor(private readonly page: Page) {
     const hint = make(
@@ -54,7 +55,13 @@ class Incidents {
   private async load(): Promise<void> {
     try {
       const { incidents, missed } = await rest<{ incidents: IncidentView[]; missed: number }>("GET", PATH);
-      this.list.replaceChildren(...incidents.slice(0, MAX_SHOWN).map((each) => this.makeItem(each)));
+      const before = this.items;
+      this.items = new Map();
+      for (const each of incidents.slice(0, MAX_SHOWN)) {
+        const key = JSON.stringify(each);
+        this.items.set(key, before.get(key) ?? this.makeItem(each));
+      }
+      arrange(this.list, this.items.values());
       setText(
         this.state,
         missed > 0 ? `${missed} incidents could not be saved; see the log of hostlink for the reason.` : "",
