@@ -110,8 +110,6 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     TcpAcceptor(hub, config.tcp)  # the key
     Access(config.api)
     tls_context(config.api)
-    if config.tcp.mdns and not all(map(importlib.util.find_spec, ("ifaddr", "zeroconf"))):
-        raise LibraryMissing("tcp.mdns", "zeroconf", "mdns")
     if config.zenoh is not None and importlib.util.find_spec("zenoh") is None:
         raise LibraryMissing("zenoh", "eclipse-zenoh", "zenoh")
     if config.zenoh is not None and config.zenoh.ros2:

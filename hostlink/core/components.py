@@ -68,9 +68,10 @@ def chosen_components(config: Config) -> list[tuple[str, type[AnyComponent], obj
         ConfigError: a component is not installed, cannot be imported, or needs settings that the file does not have.
     """
     chosen = []
-    for name in sorted(config.component_settings.keys() | config.components.keys()):
+    switches = ({"mdns": True} if config.tcp.mdns else {}) | config.components  # tcp.mdns is older than [components]
+    for name in sorted(config.component_settings.keys() | switches.keys()):
         kind = find_component(name)
-        if not config.components.get(name, True):
+        if not switches.get(name, True):
             continue
         settings = config.component_settings.get(name)
         if settings is None:

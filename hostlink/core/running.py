@@ -20,7 +20,7 @@ from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_se
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.runtime.cancellation import first_error, meanwhile
 from hostlink.core.runtime.detached import DetachedThread
-from hostlink.core.transport.tcp import advertised, serve_tcp
+from hostlink.core.transport.tcp import serve_tcp
 from hostlink.core.transport.udp import serve_udp
 
 # To open the serial ports: a USB adapter needs milliseconds, a reset of its board a tenth of a second.
@@ -94,7 +94,7 @@ async def running(
         async with _hub_running(hub), contextlib.AsyncExitStack() as before:
             for enter in around:
                 await before.enter_async_context(enter(hub))
-            async with _components(hub, config), _listening(hub, config, listening, on_listening) as addresses:
+            async with _listening(hub, config, listening, on_listening) as addresses, _components(hub, config):
                 try:
                     yield hub, addresses
                 finally:
@@ -128,7 +128,6 @@ async def _listening(
     acceptor = TcpAcceptor(hub, config.tcp)
     tried = [asyncio.Event() for _ in config.serial]
     async with (
-        contextlib.AsyncExitStack() as last,  # mDNS may be slow
         serve_tcp(config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, listening=listening) as listener,
         _datagrams(hub, config.udp) as udp,
         meanwhile(
@@ -139,7 +138,6 @@ async def _listening(
         ),
     ):
         on_listening()
-        await last.enter_async_context(advertised(config.tcp, listener.address))
         hub.listening = Listening(listener.address, udp)
         await _all_set(tried)
         missing = tuple(port.name for port in config.serial if port.name in hub.diagnoses.ports)

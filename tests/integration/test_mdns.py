@@ -1,6 +1,7 @@
 """The device port in the local network: found by its service type, gone with the daemon."""
 
 import asyncio
+import importlib.util
 import sys
 from dataclasses import replace
 
@@ -8,11 +9,12 @@ import pytest
 from zeroconf import ServiceStateChange, Zeroconf
 from zeroconf.asyncio import AsyncServiceBrowser, AsyncServiceInfo, AsyncZeroconf
 
+from hostlink.cli.check import check
+from hostlink.components.mdns import SERVICE
 from hostlink.core.config import Config, TcpConfig
-from hostlink.core.transport.tcp import SERVICE, advertised
 from hostlink.errors import ConfigError
 from tests.support.daemon import daemon
-from tests.support.waiting import TIMEOUT_S
+from tests.support.waiting import TIMEOUT_S, expect
 
 MDNS = TcpConfig(host="127.0.0.1", mdns=True)
 
@@ -40,16 +42,23 @@ async def test_a_daemon_is_found_by_its_service_and_no_longer_when_it_has_stoppe
         await network.async_close()
 
 
-async def test_without_the_library_it_prints_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_zeroconf(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zeroconf", None)  # as where it is not installed
-    with pytest.raises(
-        ConfigError, match=r"tcp.mdns: needs zeroconf, of the extra 'mdns': run  .* -m pip install 'ifaddr<"
-    ):
-        async with advertised(MDNS, ("127.0.0.1", 1)):
-            raise AssertionError("it tells the network")
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "zeroconf" else found(name))
+
+
+async def test_without_the_library_it_prints_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    without_zeroconf(monkeypatch)
+    wanted = r"tcp.mdns: needs zeroconf, of the extra 'mdns': run  .* -m pip install 'ifaddr<"
+    with pytest.raises(ConfigError, match=wanted):
+        await check(Config(tcp=replace(MDNS, port=0)), descriptors=4096)
+    async with daemon(Config(tcp=MDNS)) as host:
+        await expect(lambda: "needs zeroconf" in host.hub.diagnoses.own["mdns"].detail)
 
 
 async def test_daemon_without_mdns_setting_announces_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "zeroconf", None)
-    async with advertised(replace(MDNS, mdns=False), ("127.0.0.1", 1)):
-        assert asyncio.get_running_loop().is_running()
+    without_zeroconf(monkeypatch)
+    await check(Config(tcp=TcpConfig(port=0)), descriptors=4096)
+    async with daemon(Config(tcp=replace(MDNS, mdns=False))) as host:
+        assert "mdns" not in host.hub.counts.components
