@@ -9,6 +9,7 @@ import msgspec
 from hostlink.cli.files import writing
 from hostlink.cli.output import quantity
 from hostlink.client.course import Leg, square, straight, turns
+from hostlink.core.runtime.whole_file import replace_file
 from hostlink.errors import HostlinkError
 from hostlink.workbench.calibration import MeasuredRun, RunKind, WheelGeometry
 
@@ -97,11 +98,9 @@ class StateFile:
         Raises:
             HostlinkError: the file cannot be written.
         """
-        beside = self.path.with_suffix(".new")
         with writing(self.path, "name another file with --state"):
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            beside.write_bytes(msgspec.json.encode(self.saved))
-            beside.replace(self.path)
+            replace_file(self.path, msgspec.json.encode(self.saved))
 
     def remove(self) -> None:
         """Remove the file of a finished calibration."""

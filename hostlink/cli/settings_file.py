@@ -12,6 +12,7 @@ from typing import Any
 
 from hostlink.cli.settings import load
 from hostlink.core.runtime.text_file import read_text
+from hostlink.core.runtime.whole_file import put_in_place
 from hostlink.errors import ConfigError
 
 Tables = Mapping[str, Mapping[str, str]]  # header -> key -> value, each as TOML writes it
@@ -147,7 +148,7 @@ def _replace(path: Path, text: str) -> Path:
         beside.write_bytes(text.encode())
         load(beside)
         shutil.copy2(path, backup)
-        beside.replace(path)
+        put_in_place(beside, path)
     finally:
         beside.unlink(missing_ok=True)
     return backup

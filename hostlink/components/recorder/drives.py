@@ -17,6 +17,7 @@ from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.core.runtime.detached import DetachedThread
+from hostlink.core.runtime.whole_file import replace_file
 
 PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is released and pressed again
 MAX_OPEN = 1024  # unfinished drives
@@ -168,9 +169,7 @@ def append_drives(folder: Path, drives: list[Drive]) -> None:
         if len(newest) > MAX_FILE_BYTES / 2:
             file.replace(folder / NAME_BEFORE)
         else:
-            part = file.with_suffix(".part")
-            part.write_bytes(newest)
-            part.replace(file)
+            replace_file(file, newest)
     with file.open("ab+") as stream:
         stream.seek(-min(1, stream.tell()), os.SEEK_END)
         # The last line was cut by a full disk or a power failure; start a new line.

@@ -23,6 +23,7 @@ import msgspec
 
 from hostlink.components.recorder.channel import Channel
 from hostlink.core.runtime import remains
+from hostlink.core.runtime.whole_file import replace_file
 
 # -- ring memory ------------------------------------------------------------------------------------------------------
 
@@ -158,9 +159,7 @@ def write_fact(folder: Path, name: str, fact: object) -> None:
     Raises:
         OSError: there is no room.
     """
-    beside = folder / f"{name}.part"
-    beside.write_bytes(msgspec.json.encode(fact))
-    beside.rename(folder / f"{name}.json")
+    replace_file(folder / f"{name}.json", msgspec.json.encode(fact))
 
 
 def read_schemas(folder: Path) -> list[str]:

@@ -15,6 +15,7 @@ from hostlink.core.hub.hub import Hub
 from hostlink.core.robot.names import Remembered
 from hostlink.core.runtime.cancellation import meanwhile
 from hostlink.core.runtime.detached import DetachedThread
+from hostlink.core.runtime.whole_file import replace_file
 
 log = structlog.get_logger()
 
@@ -67,9 +68,7 @@ class NamesFile:
     def write(self, names: Names) -> None:
         """Write the whole file or nothing."""
         self._owner.claim()
-        beside = self.path.with_suffix(".new")
-        beside.write_bytes(msgspec.json.encode(names))
-        beside.replace(self.path)
+        replace_file(self.path, msgspec.json.encode(names))
 
     def release(self) -> None:
         """Leave the file to another daemon."""

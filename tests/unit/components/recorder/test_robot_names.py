@@ -59,7 +59,7 @@ def test_unnamed_boards_keep_their_names_over_a_restart_in_another_order(tmp_pat
     assert in_kept_hub(tmp_path, first) == []
     assert read(tmp_path)["robot_0"] == V
     assert in_kept_hub(tmp_path, second) == []
-    assert [path.name for path in tmp_path.iterdir() if path.suffix == ".new"] == []
+    assert [path.name for path in tmp_path.iterdir() if path.suffix == ".part"] == []
 
 
 @pytest.mark.parametrize("data", [b"{", b"[]", b'{"robot_0": 3}', b"\xff", b" " * (MAX_FILE_BYTES + 1)])
