@@ -10,7 +10,7 @@ from hostlink.core.runtime.whole_file import put_in_place, replace_file
 
 @pytest.fixture
 def order(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What happened: "sync NAME" and "rename NAME"."""
+    """Record of calls: "sync NAME" and "rename NAME"."""
     found: list[str] = []
     sync, replace = whole_file._sync, Path.replace
 
