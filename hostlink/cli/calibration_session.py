@@ -20,7 +20,7 @@ from hostlink.client.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.client.motion import require_pose
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
-from hostlink.core.robot.kinematics import Pose, wrap_angle
+from hostlink.core.robot.kinematics import Pose, wrap_angle, yaw_of
 from hostlink.core.robot.odometry import OdometryCorrection
 from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.workbench.calibration import Measurement, RunKind, WheelGeometry
@@ -194,9 +194,8 @@ def pose_of(message: Mapping[str, Any]) -> Pose:
     if "theta" in message:
         return Pose(message["x"], message["y"], wrap_angle(message["theta"]))
     pose = message["pose"]["pose"]
-    x, y, z, w = (pose["orientation"][axis] for axis in "xyzw")
-    yaw_rad = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    return Pose(pose["position"]["x"], pose["position"]["y"], wrap_angle(yaw_rad))
+    yaw_rad = yaw_of(*(pose["orientation"][axis] for axis in "xyzw"))
+    return Pose(pose["position"]["x"], pose["position"]["y"], yaw_rad)
 
 
 def _values(text: str) -> list[Any]:

@@ -41,7 +41,7 @@ from hostlink.core.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.core.runtime.acceptor import why
 from hostlink.core.runtime.cancellation import raise_if_cancelled
 from hostlink.core.runtime.forwarding_protocol import ForwardingProtocol
-from hostlink.core.runtime.listening import spelled
+from hostlink.core.runtime.listening import address_towards, spelled
 from hostlink.core.runtime.logs import printable
 from hostlink.errors import ConfigError, HostlinkError, system_text
 
@@ -411,9 +411,7 @@ async def _own_address(master_uri: str) -> str:
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(where.hostname, where.port or MASTER_PORT, type=socket.SOCK_DGRAM)
     family, _, _, _, address = min(found, key=lambda each: each[0] != socket.AF_INET)
-    with socket.socket(family, socket.SOCK_DGRAM) as probe:
-        probe.connect(address)  # sends nothing
-        return str(probe.getsockname()[0])
+    return address_towards(family, address)
 
 
 def _listening_address(host: str) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import NamedTuple
 
-from hostlink.core.robot.kinematics import Pose, wrap_angle
+from hostlink.core.robot.kinematics import Pose, wrap_angle, yaw_of
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity
 from hostlink.errors import BadPayload
 
@@ -166,7 +166,7 @@ def _pose(x_m: float, y_m: float, x: float, y: float, z: float, w: float) -> tup
         return None, Flaw.HEADING_IN_Z
     if not SHORTEST_QUATERNION <= length <= LONGEST_QUATERNION:
         return None, Flaw.BAD_QUATERNION
-    return Pose(x_m, y_m, wrap_angle(math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))), None
+    return Pose(x_m, y_m, yaw_of(x, y, z, w)), None
 
 
 READERS: dict[str, Reader] = {

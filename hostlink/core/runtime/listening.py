@@ -106,10 +106,19 @@ def spelled(host: str, port: int) -> str:
 
 
 def own_address() -> str | None:
-    """Return this computer's address in its network; None without one. Connecting a UDP socket sends no packet."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))  # RFC 5737: for documentation, assigned to no host
-        except OSError:
-            return None
+    """Return this computer's address in its network; None without one."""
+    try:
+        return address_towards(socket.AF_INET, ("192.0.2.1", 9))  # RFC 5737: for documentation, assigned to no host
+    except OSError:
+        return None
+
+
+def address_towards(family: int, address: tuple[Any, ...]) -> str:
+    """Return this computer's address on the route to another. Connecting a UDP socket sends no packet.
+
+    Raises:
+        OSError: there is no route.
+    """
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        probe.connect(address)
         return str(probe.getsockname()[0])

@@ -12,6 +12,7 @@ from hostlink.core.robot.kinematics.pose import (
     moved,
     placed,
     wrap_angle,
+    yaw_of,
 )
 from hostlink.core.robot.kinematics.wheeled import (
     DifferentialDrive,
@@ -44,4 +45,5 @@ __all__ = [
     "moved",
     "placed",
     "wrap_angle",
+    "yaw_of",
 ]

@@ -42,6 +42,11 @@ def moved(pose: Pose, x_m: float, y_m: float, turned_rad: float) -> Pose:
     )
 
 
+def yaw_of(x: float, y: float, z: float, w: float) -> float:
+    """The heading of a quaternion of any length, in radians. By products alone: a length of zero is no error."""
+    return wrap_angle(math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
 def placed(frame: Pose, pose: Pose) -> Pose:
     """A pose in a frame, expressed in the frame around it."""
     cos, sin = math.cos(frame.theta_rad), math.sin(frame.theta_rad)
