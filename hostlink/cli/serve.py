@@ -25,6 +25,7 @@ from hostlink.components.gateway.server import serve_api
 from hostlink.components.recorder.recordings import Recordings
 from hostlink.components.recorder.robot_names import kept_names, names_file
 from hostlink.core import running as core
+from hostlink.core.components import Make
 from hostlink.core.config import Config
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.hub.gates import Guard
@@ -97,16 +98,19 @@ async def running(
             complaints_logged(),
             kept_names(hub, names_file(config)),
             _recordings(hub) as recordings,
-            _graphs(hub, config, on_graph_end),
+            _graphs(hub, config),
             serve_api(hub, recordings, reloader) as api,
         ):
             with reload_signal(reloader):
                 yield
 
-    async with core.running(config, guard=guard, around=[parts], on_listening=on_listening, listening=listening) as (
-        hub,
-        devices,
-    ):
+    own: dict[str, Make] = {}
+    if config.ros1.master:
+        ros1 = importlib.import_module("hostlink.components.ros1.node").Ros1
+        own["ros1"] = lambda: ros1(config.ros1, on_graph_end)
+    async with core.running(
+        config, guard=guard, around=[parts], own=own, on_listening=on_listening, listening=listening
+    ) as (hub, devices):
         udp = {} if devices.udp is None else {"udp": spelled(*devices.udp)}
         loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
         ports = {"serial": list(devices.serial), "missing": list(devices.missing)} if config.serial else {}
@@ -134,15 +138,12 @@ async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
 
 
 @contextlib.asynccontextmanager
-async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator[None]:
-    """Connect to the graphs of ROS 1 and Zenoh that are configured; the modules of the others are not imported."""
+async def _graphs(hub: Hub, config: Config) -> AsyncIterator[None]:
+    """Connect to the graphs of Zenoh that are configured; its modules are not imported otherwise."""
     async with contextlib.AsyncExitStack() as graphs:
         if config.zenoh is not None:
             module = importlib.import_module("hostlink.components.zenoh.running")
             await graphs.enter_async_context(module.zenoh_running(hub, config.zenoh))
-        if config.ros1.master:
-            module = importlib.import_module("hostlink.components.ros1.node")
-            await graphs.enter_async_context(module.ros1_running(hub, config.ros1, on_end))
         yield
 
 

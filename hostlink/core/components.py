@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import functools
 from collections import Counter
-from collections.abc import Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 import structlog
@@ -22,6 +22,7 @@ STEADY_S = 60.0  # after a run of this length the pause is the first one again
 
 log = structlog.get_logger()
 AnyComponent = Component[Any]
+Make = Callable[[], AnyComponent]  # of a component for one run
 
 
 def installed() -> frozenset[str]:
@@ -91,44 +92,44 @@ def _entry_points() -> Mapping[str, Any]:
     return {each.name: each for each in entry_points(group=GROUP)}
 
 
-async def supervise(hub: Hub, kind: type[AnyComponent], settings: object) -> None:
+async def supervise(hub: Hub, name: str, make: Make) -> None:
     """Run a component until cancelled. When it fails, its robots are stopped, and it is run again after a pause."""
     counts = Counter[str]()
-    hub.counts.components[kind.name] = lambda: counts
+    hub.counts.components[name] = lambda: counts
     pause_s = FIRST_PAUSE_S
     while True:
         began_s = loop_time_s()
-        reason = await _run_once(hub, kind, settings, counts)
+        reason = await _run_once(hub, name, make, counts)
         counts["failures"] += 1
         if loop_time_s() >= began_s + STEADY_S:
             pause_s = FIRST_PAUSE_S
-        hub.diagnoses.observe_own(kind.name, "component_failed", f"{kind.name}: {reason}")
-        log.warning("component.ended", component=kind.name, reason=reason, again_in_s=pause_s)
+        hub.diagnoses.observe_own(name, "component_failed", f"{name}: {reason}")
+        log.warning("component.ended", component=name, reason=reason, again_in_s=pause_s)
         await asyncio.sleep(pause_s)
-        hub.diagnoses.observe_own(kind.name)
+        hub.diagnoses.observe_own(name)
         pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
 
-async def _run_once(hub: Hub, kind: type[AnyComponent], settings: object, counts: Counter[str]) -> str:
+async def _run_once(hub: Hub, name: str, make: Make, counts: Counter[str]) -> str:
     """Run a component to its end. Return why it ended."""
     error: BaseException | None = None
     async with contextlib.AsyncExitStack() as leaving:
         try:
             async with asyncio.TaskGroup() as tasks:
 
-                def spawn(work: Coroutine[Any, Any, object], name: str) -> None:
-                    task = tasks.create_task(work, name=f"{kind.name}: {name}")
+                def spawn(work: Coroutine[Any, Any, object], part: str) -> None:
+                    task = tasks.create_task(work, name=f"{name}: {part}")
                     task.add_done_callback(lambda _: work.close())  # it may be cancelled before its first turn
 
-                host = Host(hub, kind.name, spawn, counts)
+                host = Host(hub, name, spawn, counts)
                 leaving.callback(host.close)
-                await kind(settings).run(host)
+                await make().run(host)
                 raise _Ended("it ended by itself")  # noqa: TRY301 - it ends what the component has spawned
         except* Exception as group:  # noqa: BLE001 - a component of another package may raise anything
             error = first_error(group)
     raise_if_cancelled()
     if isinstance(error, Exception) and not isinstance(error, HostlinkError | OSError | _Ended):
-        hub.isolation.crashed("component", error, component=kind.name)
+        hub.isolation.crashed("component", error, component=name)
     return str(error) or repr(error)
 
 

@@ -4,31 +4,46 @@ A component offers the robots to something outside: a broker, a cloud, a display
 `hostlink.errors`. Methods are synchronous and belong to the event loop, unless they are declared with `async`.
 """
 
+import time
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Mapping
+from contextlib import AbstractContextManager
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import structlog
 
+from hostlink.core.hub.byte_budget import Share
 from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.hub.graph_view import Graph, GraphService, GraphTopic
 from hostlink.core.hub.hub import Hub, Listening
+from hostlink.core.hub.isolation import Spawn
 from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.core.hub.node import Role
+from hostlink.core.hub.parameters import ParameterSource
 from hostlink.core.hub.participant import Participant
+from hostlink.core.hub.queue import Queue
 from hostlink.core.hub.robot import AnyRobot
 from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.hub.robot_topic_publisher import own_topics
+from hostlink.core.hub.standstills import own_services
 from hostlink.core.hub.subscription import Subscription
+from hostlink.core.hub.topic import Receive
+from hostlink.core.link.fair_share import Turns
+from hostlink.core.messages.catalog import Catalog
 from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.state import RobotState
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.loop_time import loop_time_s
 
 __all__ = [
-    "API_VERSION", "Component", "EventKind", "Host", "Listening", "Message", "Participant", "PlanarVelocity",
-    "RobotEvent", "RobotState", "Role", "Standstill", "Stopped", "Subscription",
+    "API_VERSION", "Component", "EventKind", "Graph", "GraphService", "GraphTopic", "Host", "Listening", "Message",
+    "Participant", "PlanarVelocity", "Queue", "Receive", "RobotEvent", "RobotState", "Role", "Spawn", "Standstill",
+    "Stopped", "Subscription",
 ]  # fmt: skip
 
 API_VERSION = (1, 0)  # the second number grows with what is added, the first with what is removed or changed
+
+MANY = 16
 
 log = structlog.get_logger()
 Settings = TypeVar("Settings")
@@ -80,8 +95,11 @@ class Host:
     ) -> None:
         """`spawn` runs work as long as the component. `counts`: the component's counters, of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
-        self._participants: list[Participant] = []
+        self._participants: list[Participant] = []  # with some that have left
+        self._most = MANY  # of them, before those that have left are removed
         self._watcher: Participant | None = None  # for what is read without a participant
+        self._source: ParameterSource | None = None
+        self._has_clock = False
         self.log = log.bind(component=name)
 
     # -- robots -------------------------------------------------------------------------------------------------------
@@ -204,17 +222,21 @@ class Host:
         *,
         role: Role = Role.DRIVE,
         priority: int = PROGRAM_PRIORITY,
+        group: str = "",
         on_end: Callable[[], None] = lambda: None,
     ) -> Participant:
         """Join the graph as one source of messages and commands: one for each program that the component serves.
 
         It advertises, publishes, subscribes, and calls and provides services. Payloads are ROS 1's bytes;
         `Participant.message_type` decodes and encodes them. `priority` is that of its velocities, 0 to 100; a person
-        at a stick has 60. `on_end` is called when a failure of one of its callbacks ends it. The participant leaves by
+        at a stick has 60. `group`: of a bridge to another graph: its participants do not receive what the group sends.
+        `on_end` is called when a failure of one of its callbacks ends it. The participant leaves by
         `leave`, and with the run: the robots that it drives stop.
         """
-        participant = Participant(self._hub, name, role=role, priority=priority, on_end=on_end)
-        self._participants = [each for each in self._participants if not each.has_left]
+        participant = Participant(self._hub, name, role=role, priority=priority, group=group, on_end=on_end)
+        if len(self._participants) >= self._most:
+            self._participants = [each for each in self._participants if not each.has_left]
+            self._most = max(MANY, 2 * len(self._participants))
         self._participants.append(participant)
         return participant
 
@@ -222,6 +244,41 @@ class Host:
         if self._watcher is None:
             self._watcher = self.join(self._name, role=Role.READ)
         return self._watcher
+
+    @property
+    def messages(self) -> Catalog:
+        """The known types of messages and services."""
+        return self._hub.catalog
+
+    def device_names(self) -> list[tuple[str, str]]:
+        """Return each name of a topic or service that a device has announced, with its name in the graph."""
+        links = self._hub.links
+        away = (robot for robot in self._hub.robots.here() if robot.link is None)
+        found = [(name, shown) for robot in away for shown, name in robot.velocities.items()]
+        found += [(info.name, links.shown_name(link, info.name)) for link in links.all() for info in link.topics]
+        return found
+
+    def own_names(self) -> list[str]:
+        """Return the names that hostlink itself gives for robots; of robots of other daemons all names below theirs."""
+        robots = self._hub.robots
+        found = [name for robot in robots.here() for name in (*own_topics(robot), *own_services(robot.name))]
+        found += [name for robot in robots.remote for name in own_services(robot)]
+        if robots.remote:
+            found += [name[1:] for name in self._hub.topics.names() if name.split("/", 2)[1] in robots.remote]
+        return found
+
+    def warn(self, node: str, text: str) -> None:
+        """Publish a warning on /rosout in the name of a node. The caller writes the daemon's own log."""
+        self._hub.rosout.warn(node, text)
+
+    def answer_parameters(self, source: ParameterSource | None) -> None:
+        """Let a source answer devices' requests for parameters that the settings lack; None: no more."""
+        self._hub.links.parameter_source = self._source = source
+
+    def set_clock(self, wall_ns: Callable[[], int] | None) -> None:
+        """Answer devices' requests for the time by this clock, in nanoseconds; None: by the computer's."""
+        self._hub.links.wall_ns = time.time_ns if wall_ns is None else wall_ns
+        self._has_clock = wall_ns is not None
 
     # -- the component itself -----------------------------------------------------------------------------------------
 
@@ -243,6 +300,27 @@ class Host:
         """Add to a counter of the component, which GET /metrics shows."""
         self._counts[what] += number
 
+    def count_by(self, read: Callable[[], Mapping[str, int]]) -> None:
+        """Show further counters in GET /metrics: those that `read` returns."""
+        own = self._counts
+        self._hub.counts.components[self._name] = lambda: {**own, **read()}
+
+    def share(self, kind: str) -> Share:
+        """Return a part of the one budget of bytes that strangers make the daemon keep: "queues", "calls", others."""
+        return self._hub.budget[kind]
+
+    def turns(self) -> Turns:
+        """Create the share of one connection in the event loop: what it reads waits for its turn."""
+        return self._hub.turns()
+
+    def around(self, what: str, **facts: object) -> AbstractContextManager[None]:
+        """Catch an exception of a block: it is logged as `what`.crashed, counted, and ends nothing else."""
+        return self._hub.isolation.around(what, **facts)
+
+    def crashed(self, what: str, error: Exception, **facts: object) -> None:
+        """Log and count an exception that was caught, as `around` does."""
+        self._hub.isolation.crashed(what, error, **facts)
+
     def report(self, problem: str) -> None:
         """Say what is wrong with the component, as `hostlink doctor` shows it; empty: it works."""
         self._hub.diagnoses.observe_own(self._name, "component_troubled" if problem else "", problem)
@@ -252,6 +330,10 @@ class Host:
         for participant in self._participants:
             participant.leave()
         self._participants.clear()
+        if self._source is not None and self._hub.links.parameter_source is self._source:
+            self.answer_parameters(None)
+        if self._has_clock:
+            self.set_clock(None)
 
 
 def _unreached(endpoints: Iterable[CommandEndpoint]) -> tuple[str, ...]:

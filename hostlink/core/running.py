@@ -3,13 +3,14 @@
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from socket import socket
 from time import thread_time
 from typing import Any
 
-from hostlink.core.components import chosen_components, supervise
+from hostlink.core.components import Make, chosen_components, supervise
 from hostlink.core.config import Config, UdpConfig
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.host import Host
@@ -78,14 +79,16 @@ async def running(
     *,
     guard: Guard | None = None,
     around: Sequence[Around] = (),
+    own: Mapping[str, Make] | None = None,
     on_listening: Callable[[], None] = lambda: None,
     listening: Sequence[socket] = (),
 ) -> AsyncIterator[tuple[Hub, Addresses]]:
     """Run a hub with its listeners and components for the length of a block.
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
-    `around` are parts that begin before the first device is accepted, and end after the robots were stopped.
-    `on_listening` is called when every port is open. `listening` are the sockets for devices, if they are open already.
+    `own` are further components by name. `around` are parts that begin before the first device is accepted, and end
+    after the robots were stopped. `on_listening` is called when every port is open. `listening` are the sockets for
+    devices, if they are open already.
     """
     folders = config.message_folders  # one may be on a dead disk: the loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
@@ -94,7 +97,10 @@ async def running(
         async with _hub_running(hub), contextlib.AsyncExitStack() as before:
             for enter in around:
                 await before.enter_async_context(enter(hub))
-            async with _listening(hub, config, listening, on_listening) as addresses, _components(hub, config):
+            async with (
+                _listening(hub, config, listening, on_listening) as addresses,
+                _components(hub, config, own or {}),
+            ):
                 try:
                     yield hub, addresses
                 finally:
@@ -112,11 +118,10 @@ async def _hub_running(hub: Hub) -> AsyncIterator[None]:
 
 
 @contextlib.asynccontextmanager
-async def _components(hub: Hub, config: Config) -> AsyncIterator[None]:
-    """Run the components that the settings switch on."""
-    async with meanwhile(
-        *((name, supervise(hub, kind, settings)) for name, kind, settings in chosen_components(config))
-    ):
+async def _components(hub: Hub, config: Config, own: Mapping[str, Make]) -> AsyncIterator[None]:
+    """Run the components that the settings switch on, and `own`."""
+    chosen: dict[str, Make] = {name: partial(kind, settings) for name, kind, settings in chosen_components(config)}
+    async with meanwhile(*((name, supervise(hub, name, make)) for name, make in {**own, **chosen}.items())):
         yield
 
 

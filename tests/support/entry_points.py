@@ -45,7 +45,6 @@ from hostlink.components.zenoh.rmw_protocol import (
 )
 from hostlink.components.zenoh.session import ZenohSession
 from hostlink.core.config import Config, ZenohConfig
-from hostlink.core.host import Host
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
 from hostlink.core.hub.robot_topic_publisher import twist_topic
@@ -56,6 +55,7 @@ from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarV
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from tests.support.fake_device import CATALOG, topic
 from tests.support.foreign_drivers import PRIORITY, FleetDriver, Ros1Driver
+from tests.support.hosts import host_in
 from tests.support.memory_client import MemoryHost, memory_host
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, Scene
@@ -674,7 +674,7 @@ class ComponentDrive(EntryPoint):
     """A component of another package."""
 
     async def begin(self) -> None:
-        self._host = Host(self.made.hub, "arm", lambda work, _: work.close(), Counter())
+        self._host = host_in(self.made.hub)
         self._participant = self._host.join("arm")
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:

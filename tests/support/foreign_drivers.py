@@ -34,6 +34,7 @@ from hostlink.core.transport.base import READ_BYTES
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_in
 from tests.support.participants import ROBOT, Scene
 from tests.support.wired_device import Flood
 
@@ -46,7 +47,9 @@ class Ros1Driver:
     def __init__(self, scene: Scene) -> None:
         twist = CATALOG.message(TWIST_TYPE)
         assert twist is not None
-        self._node = LocalNode(scene.hub, Ros1Config(master="http://master:1/"), "/hostlink", scene.tasks)
+        self._node = LocalNode(
+            host_in(scene.hub, "ros1"), Ros1Config(master="http://master:1/"), "/hostlink", scene.tasks
+        )
         name = twist_topic(scene.hub.robots.find_here(ROBOT))
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
         self._connection = _PublisherConnection(self._node, topic, Budget(), is_new=True)

@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 
-from hostlink.core.hub.participant import Participant
-from hostlink.core.hub.topic import Receive
+from hostlink.core.host import Participant, Receive
 from hostlink.errors import HostlinkError
 
 

@@ -9,9 +9,7 @@ from typing import Any, Protocol
 
 from hostlink.components.ros1.local_node import Ros1Counts
 from hostlink.components.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream, encode_header
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.isolation import Spawn
-from hostlink.core.hub.queue import Queue
+from hostlink.core.host import Host, Queue, Spawn
 from hostlink.core.runtime.acceptor import Acceptor, bind
 from hostlink.core.runtime.listening import close_all
 from hostlink.core.transport.connection import BufferedConnection, set_options
@@ -119,15 +117,15 @@ Receive = Callable[[list[bytes]], None]
 class Wire(BufferedConnection):
     """TCPROS connection. Calls `receive` with the messages of each read, and `on_end` once."""
 
-    def __init__(self, hub: Hub, receive: Receive, on_end: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, host: Host, receive: Receive, on_end: Callable[[], None] = lambda: None) -> None:
         super().__init__()
         self.receive, self.on_end = receive, on_end
         self.stream = MessageStream(MAX_HEADER_BYTES)
-        self.outgoing: Queue[bytes] = Queue(len, asyncio.get_running_loop().time, hub.budget["queues"])
+        self.outgoing: Queue[bytes] = Queue(len, asyncio.get_running_loop().time, host.share("queues"))
         self.peer = ""  # for people
         self.is_closed = False
         self.is_replaceable = True  # until it has sent a header
-        self._isolation, self._turns = hub.isolation, hub.turns()
+        self._host, self._turns = host, host.turns()
         self._is_flush_due = False
         self._reader = self._turns.reader(self, self._read, self.close)
         self.on_readable = self._reader.receive
@@ -194,7 +192,7 @@ class Wire(BufferedConnection):
         """Read one piece; of a large message all available bytes."""
         began_s = asyncio.get_running_loop().time()
         is_done = False
-        with self._isolation.around("ros1", peer=self.peer):
+        with self._host.around("ros1", peer=self.peer):
             messages = list(self.stream.feed(self.read(max(PIECE_BYTES, self.stream.missing_bytes))))
             if messages:
                 self.receive(messages)

@@ -11,7 +11,7 @@ from hostlink.components.ros1.names import NameMap, NameResolver, is_legal
 from hostlink.components.ros1.services import FAILURES, ForeignService, ServiceOffer, find_type
 from hostlink.components.ros1.tcpros import ANY, BadHeader, Header, decode_header
 from hostlink.components.ros1.topics import RosPublication, RosPublisher
-from hostlink.core.hub.graph_view import Graph, GraphTopic
+from hostlink.core.host import Graph, GraphTopic
 from hostlink.core.messages.message_type import MessageType, ServiceType
 from hostlink.core.mirror.mirror import Mirror, Served
 from hostlink.core.runtime.logs import printable
@@ -188,7 +188,7 @@ class GraphSync:
     def _offered(self, graph: Graph, names: NameMap) -> dict[str, _Offered]:
         found: dict[str, _Offered] = {}
         for service in graph.services:
-            type_ = self._node.hub.catalog.service(service.type_name)
+            type_ = self._node.host.messages.service(service.type_name)
             name = self._legal(names.to_ros(service.name))
             if type_ is None:
                 self._node.log_once("ros1.service_unknown", service=name, type=service.type_name)
@@ -226,7 +226,7 @@ class GraphSync:
         name, _ = key
         async with self._room:
             type_name, md5 = await find_type(self._node, name)
-        type_ = self._node.hub.catalog.service(type_name)
+        type_ = self._node.host.messages.service(type_name)
         if type_ is None or type_.md5 != md5:
             raise ServiceFailed(name, f"no definition of {type_name} with md5 {md5}")
         provided = ForeignService(self._node, service, name, type_)
@@ -242,7 +242,7 @@ class GraphSync:
 
     def _fail(self, key: str, error: Exception) -> None:
         """A publication or an offer only waits for connections: what it raises is a fault of hostlink."""
-        self._node.hub.isolation.crashed("ros1", error, name=printable(key))
+        self._node.host.crashed("ros1", error, name=printable(key))
 
     def _fail_publisher(self, key: tuple[str, str], error: Exception) -> None:
         self._log_failure("ros1.publisher_failed", error, topic=key[0], uri=key[1])
@@ -254,7 +254,7 @@ class GraphSync:
         if isinstance(error, (*FAILURES, HostlinkError)):
             self._node.log_once(event, **facts, reason=str(error) or type(error).__name__)
         else:
-            self._node.hub.isolation.crashed("ros1", error, **{name: printable(text) for name, text in facts.items()})
+            self._node.host.crashed("ros1", error, **{name: printable(text) for name, text in facts.items()})
 
 
 def merge_publishers(known: list[str], answered: list[str]) -> list[str]:

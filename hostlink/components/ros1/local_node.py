@@ -20,8 +20,7 @@ from hostlink.components.ros1.xml_rpc import (
     reason_of,
 )
 from hostlink.core.config import Ros1Config
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.participant import Participant
+from hostlink.core.host import Host, Participant
 from hostlink.core.mirror.log_once import LogOnce
 
 GROUP = "ros1"
@@ -118,9 +117,9 @@ class Rpc:
 class LocalNode:
     """Name and address of this node, its calls, tasks and counts. `aclose` ends calls and tasks."""
 
-    def __init__(self, hub: Hub, config: Ros1Config, name: str, tasks: asyncio.TaskGroup) -> None:
+    def __init__(self, host: Host, config: Ros1Config, name: str, tasks: asyncio.TaskGroup) -> None:
         """`name`: the full name in ROS."""
-        self.hub, self.config, self.name = hub, config, name
+        self.host, self.config, self.name = host, config, name
         self.uri = ""  # where the slave API answers, once its port is bound
         self.master_uri = config.master
         self.rpc, self.counts, self.log_once = Rpc(), Ros1Counts(), LogOnce()
@@ -135,7 +134,7 @@ class LocalNode:
 
     def join(self, who: str, on_end: Callable[[], None] = lambda: None) -> Participant:
         """Let another node take part in the hub until it leaves."""
-        return self.hub.join(f"{GROUP} {who}"[:64], group=GROUP, on_end=on_end)
+        return self.host.join(f"{GROUP} {who}"[:64], group=GROUP, on_end=on_end)
 
     def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> asyncio.Task[None]:
         """Run a task until the node ends. A crash of it ends nothing else."""
@@ -146,7 +145,7 @@ class LocalNode:
         return task
 
     async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
-        with self.hub.isolation.around("task", task=name):
+        with self.host.around("task", task=name):
             await work
 
     async def call_master(self, method: str, *arguments: object) -> Any:

@@ -5,7 +5,6 @@ import contextlib
 import ipaddress
 import os
 import socket
-import time
 import urllib.parse
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict
@@ -32,11 +31,7 @@ from hostlink.components.ros1.xml_rpc import (
     encode_fault,
 )
 from hostlink.core.config import Ros1Config
-from hostlink.core.hub.graph_view import Graph
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.message import Message
-from hostlink.core.hub.robot_topic_publisher import own_topics
-from hostlink.core.hub.standstills import own_services
+from hostlink.core.host import Component, Graph, Host, Message
 from hostlink.core.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.core.runtime.acceptor import why
 from hostlink.core.runtime.cancellation import raise_if_cancelled
@@ -82,15 +77,15 @@ class Member:
     @contextlib.asynccontextmanager
     async def taking_part(self) -> AsyncIterator[None]:
         """Take part in the hub and in ROS for the length of the block."""
-        hub = self._node.hub
-        watcher = hub.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
+        host = self._node.host
+        watcher = host.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
         watcher.watch_graph(lambda: self._update(watcher.graph()))
-        hub.links.parameter_source = self.parameters
-        hub.counts.components[GROUP] = partial(asdict, self._node.counts)
+        host.answer_parameters(self.parameters)
+        host.count_by(partial(asdict, self._node.counts))
         try:
             yield
         finally:
-            hub.links.parameter_source = None
+            host.answer_parameters(None)
             self._sim_time.update(is_wanted=False)
             watcher.leave()
             self.sync.close()
@@ -114,7 +109,7 @@ class Member:
                 self._node.counts.refused_headers += 1
                 wire.close()
 
-        wire = Wire(self._node.hub, receive)
+        wire = Wire(self._node.host, receive)
         asyncio.get_running_loop().call_later(HEADER_TIMEOUT_S, cut_silent)
         return wire
 
@@ -130,24 +125,10 @@ class Member:
         self._follow_parameters()  # /clock may have had another type
 
     def _name_map(self) -> NameMap:
-        hub = self._node.hub
-        links = hub.links
-        away = (robot for robot in hub.robots.here() if robot.link is None)
-        announced = [(name, shown) for robot in away for shown, name in robot.velocities.items()]
-        announced += [(info.name, links.shown_name(link, info.name)) for link in links.all() for info in link.topics]
-        return NameMap(self._names, announced, _own_names(hub))
+        return NameMap(self._names, self._node.host.device_names(), self._node.host.own_names())
 
     def _follow_parameters(self) -> None:
         self._sim_time.update(is_wanted=self.parameters.is_sim_time)
-
-
-def _own_names(hub: Hub) -> list[str]:
-    """Names that hostlink itself gives for its robots; of robots of other daemons all names below theirs."""
-    found = [name for robot in hub.robots.here() for name in (*own_topics(robot), *own_services(robot.name))]
-    found += [name for robot in hub.robots.remote for name in own_services(robot)]
-    if hub.robots.remote:
-        found += [name[1:] for name in hub.topics.names() if name.split("/", 2)[1] in hub.robots.remote]
-    return found
 
 
 class SimTime:
@@ -157,9 +138,9 @@ class SimTime:
     """
 
     def __init__(self, node: LocalNode) -> None:
-        self._hub, self._log_once = node.hub, node.log_once
+        self._host, self._log_once = node.host, node.log_once
         self._clock = HubSource(
-            lambda: node.hub.join("ros1 clock"), CLOCK, self._receive, self._fail, type_name=CLOCK_TYPE
+            lambda: node.host.join("ros1 clock"), CLOCK, self._receive, self._fail, type_name=CLOCK_TYPE
         )
         self._now_ns = 0  # as every node of ROS has it before the first message
 
@@ -168,7 +149,7 @@ class SimTime:
         if not self._clock.is_read:
             self._now_ns = 0
         self._clock.set_read(is_wanted)
-        self._hub.links.wall_ns = (lambda: self._now_ns) if is_wanted else time.time_ns
+        self._host.set_clock((lambda: self._now_ns) if is_wanted else None)
 
     def _fail(self, error: HostlinkError) -> None:
         self._log_once("ros1.clock_unusable", reason=str(error))
@@ -185,7 +166,7 @@ class SlaveApi:
     def __init__(self, member: Member, node: LocalNode, tcpros_address: tuple[str, int]) -> None:
         """`tcpros_address`: where other nodes connect for topics."""
         self._member, self._node, self._tcpros_address = member, node, tcpros_address
-        self._turns = node.hub.turns()
+        self._turns = node.host.turns()
         self._methods: dict[str, Callable[..., _Answer]] = {
             "getBusStats": lambda _: (SUCCESS, "bus stats", [[], [], []]),
             "getBusInfo": lambda _: (SUCCESS, "bus info", self._bus_info()),
@@ -228,7 +209,7 @@ class SlaveApi:
             return web.Response(status=408)
         await self._turns.wait(CALL_S)
         answer = encode_fault("a fault of hostlink")
-        with self._node.hub.isolation.around("ros1", peer=request.remote):
+        with self._node.host.around("ros1", peer=request.remote):
             answer = await self.answer(body)
         return web.Response(body=answer, content_type="text/xml")
 
@@ -310,40 +291,46 @@ class _Aged(ForwardingProtocol, asyncio.Protocol):
 # -- from its start to its end ----------------------------------------------------------------------------------------
 
 
-@contextlib.asynccontextmanager
-async def ros1_running(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) -> AsyncIterator[None]:
-    """Take part in the graph for the length of the block, or until the node is shut down.
+class Ros1(Component[Ros1Config]):
+    """The daemon as a node of ROS 1, for the settings of [ros1]."""
 
-    Then `on_end` is called with the reason. The daemon continues without the graph, also after a fault of hostlink.
-    """
-    async with asyncio.TaskGroup() as tasks:
-        node = tasks.create_task(_serve(hub, config, on_end), name="ROS 1")
+    name = "ros1"
+    settings_type = Ros1Config
+
+    def __init__(self, settings: Ros1Config, on_end: Callable[[str], None] = lambda _: None) -> None:
+        """`on_end` is called with the reason when the node has ended."""
+        super().__init__(settings)
+        self._on_end = on_end
+
+    async def run(self, host: Host) -> None:
+        """Take part in the graph. A node that ROS has shut down, or whose settings are wrong, is not started again."""
+        reason = CRASHED
         try:
-            yield
-        finally:
-            node.cancel()
+            try:
+                reason = await run_node(host, self.settings)
+            except* ConfigError as group:
+                reason = str(group.exceptions[0])
+            raise_if_cancelled()
+        except Exception:
+            self._end(reason)
+            raise
+        self._end(reason)
+        host.report(reason)
+        await asyncio.Event().wait()
+
+    def _end(self, reason: str) -> None:
+        log.warning("ros1.ended", reason=reason, advice="robots are served on; start hostlink again to be in the graph")
+        self._on_end(reason)
 
 
-async def _serve(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) -> None:
-    reason = CRASHED
-    with hub.isolation.around("task", task="ROS 1"):
-        try:
-            reason = await run_node(hub, config)
-        except* ConfigError as group:
-            reason = str(group.exceptions[0])
-    raise_if_cancelled()
-    log.warning("ros1.ended", reason=reason, advice="robots are served on; start hostlink again to be in the graph")
-    on_end(reason)
-
-
-async def run_node(hub: Hub, config: Ros1Config) -> str:
+async def run_node(host: Host, config: Ros1Config) -> str:
     """Take part in the graph until the node is shut down. Return why."""
     names = NameResolver.of(config.namespace, config.name, config.remappings)
-    host = await find_host(config)
+    address = await find_host(config)
     async with asyncio.TaskGroup() as tasks:
-        node = LocalNode(hub, config, names.node, tasks)
+        node = LocalNode(host, config, names.node, tasks)
         try:
-            async with _serving(node, names, host) as member:
+            async with _serving(node, names, address) as member:
                 registering = node.spawn(member.keep_registered(), name="ROS 1 registrar")
                 try:
                     return await member.ended

@@ -20,7 +20,7 @@ from hostlink.components.ros1.tcpros import (
     encode_message,
 )
 from hostlink.components.ros1.xml_rpc import CallRefused, Unreachable
-from hostlink.core.hub.participant import Participant
+from hostlink.core.host import Participant
 from hostlink.core.messages.message_type import ServiceType
 from hostlink.core.runtime.logs import printable
 from hostlink.errors import HostlinkError, ServiceFailed

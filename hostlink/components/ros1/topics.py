@@ -10,9 +10,7 @@ from hostlink.components.graphs.hub_source import HubSource
 from hostlink.components.ros1.connections import Wire
 from hostlink.components.ros1.local_node import TIMEOUT_S, LocalNode
 from hostlink.components.ros1.tcpros import ANY, BadHeader, Header, check_header, decode_answer_header, encode_message
-from hostlink.core.hub.graph_view import GraphTopic
-from hostlink.core.hub.message import Message
-from hostlink.core.hub.participant import Participant
+from hostlink.core.host import GraphTopic, Message, Participant
 from hostlink.core.messages.message_type import MessageType
 from hostlink.core.robot.admission import EarlierMotion, Resumption
 from hostlink.core.robot.newest import is_zero_twist, newest
@@ -144,7 +142,7 @@ class _PublisherConnection:
     """Connection to a publisher: first its header, then its messages, which a participant publishes in the hub."""
 
     def __init__(self, node: LocalNode, topic: GraphTopic, refusals: Budget, *, is_new: bool) -> None:
-        self.wire = Wire(node.hub, self._begin, self._end)
+        self.wire = Wire(node.host, self._begin, self._end)
         self.accepted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.participant: Participant | None = None  # from the header to the end
@@ -196,7 +194,7 @@ class _PublisherConnection:
 
     def _type(self, header: Header) -> MessageType:
         name, md5 = (printable(header.get(field, "")) for field in ("type", "md5sum"))
-        found = self._node.hub.catalog.message(name)
+        found = self._node.host.messages.message(name)
         if found is None:
             raise BadHeader(f"unknown type {name}; put its .msg into a folder of messages")
         if md5 != found.md5 or self._topic.type_name not in ("", found.name):
@@ -253,7 +251,7 @@ class _PublisherConnection:
         topic, kind, reason = printable(self._topic.name), error.kind, printable(str(error), MAX_REASON)
         if counts := self._refusals.due(kind, asyncio.get_running_loop().time()):
             log.warning("ros1.message_refused", topic=topic, node=node, kind=kind, reason=reason, **counts)
-            self._node.hub.rosout.warn(self._node.name, f"{topic} of {node} is refused ({kind}): {reason}")
+            self._node.host.warn(self._node.name, f"{topic} of {node} is refused ({kind}): {reason}")
 
 
 def _check(payload: bytes, type_: MessageType) -> None:

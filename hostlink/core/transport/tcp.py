@@ -1,4 +1,4 @@
-"""TcpTransport, the listener for TCP devices, and its mDNS advertisement as `_rosserial._tcp` (Bonjour, Avahi)."""
+"""TcpTransport, and the listener for TCP devices."""
 
 import asyncio
 import contextlib

@@ -64,7 +64,7 @@ async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:
         line.break_off()
         await expect(lambda: b.hub.robots.remote["robot_7"].link)
         assert b.hub.robots.remote["robot_7"].link != before  # every driver must drive again
-        await expect(lambda: a.hub.counts.graphs["fleet"]()["met"] == 2)
+        await expect(lambda: a.hub.counts.components["fleet"]()["met"] == 2)
         assert (await drive(b, "robot_7", 0.1))[0] == 200
 
 
@@ -99,7 +99,7 @@ async def test_stop_or_lock_of_a_host_that_was_cut_off_is_503_and_in_force_when_
 async def test_no_link_of_a_fleet_is_closed_with_waiting() -> None:
     """A close that waits 10 s for a host that vanished makes the daemon deaf to all others (tools/netns_fleet.py)."""
     async with fleet("a", "b") as hosts:  # in one process, each finds the sockets of both
-        await expect(lambda: sum(host.hub.counts.graphs["zenoh"]()["links"] for host in hosts) >= 2)
+        await expect(lambda: sum(host.hub.counts.components["zenoh"]()["links"] for host in hosts) >= 2)
         await expect(lambda: all(linger != ZENOHS for linger in lingers().values()))
 
 
@@ -115,9 +115,9 @@ async def test_delayed_commands_move_no_robot() -> None:
         await asyncio.sleep(
             0.2
         )  # so that it is over a lease late; Zenoh gives the connection up a second after the stall
-        refused = a.hub.counts.graphs["fleet"]()["refused"]
+        refused = a.hub.counts.components["fleet"]()["refused"]
         line.set_line(Line.WORKS)
-        await expect(lambda: a.hub.counts.graphs["fleet"]()["refused"] > refused or a.was_paused)
+        await expect(lambda: a.hub.counts.components["fleet"]()["refused"] > refused or a.was_paused)
         assert a.hub.robots.find_here("robot_7").gate.owner is None
 
 
@@ -129,7 +129,7 @@ async def test_delayed_first_command_moves_no_robot() -> None:
         b.hub.join("driver").drive(found, PlanarVelocity(x_m_s=0.3))
         await asyncio.sleep(0.7)
         line.set_line(Line.WORKS)
-        await expect(lambda: a.hub.counts.graphs["fleet"]()["refused"] or a.was_paused)
+        await expect(lambda: a.hub.counts.components["fleet"]()["refused"] or a.was_paused)
         assert a.hub.robots.find_here("robot_7").gate.counts.commands == 0
 
 
@@ -200,15 +200,15 @@ async def test_a_robot_s_topics_stay_below_its_name() -> None:
         await expect(lambda: a.hub.topics.find_or_none("/robot_66/odom"))
         assert a.hub.topics.find_or_none("/tf") is None
         assert a.hub.topics.find_or_none("/robot_7/cmd_vel") is None
-        assert a.hub.counts.graphs["fleet"]()["foreign_topics"] >= 2
-        assert a.hub.counts.graphs["fleet"]()["refused_topics"] >= 1
+        assert a.hub.counts.components["fleet"]()["foreign_topics"] >= 2
+        assert a.hub.counts.components["fleet"]()["refused_topics"] >= 1
 
 
 async def test_malformed_payload_is_counted_and_ignored() -> None:
     payload = b'{"robots":1}'
     async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
         await shown(a, "robot_7")
-        counts, me = b.hub.counts.graphs["fleet"](), _zid_of(a, "robot_7")
+        counts, me = b.hub.counts.components["fleet"](), _zid_of(a, "robot_7")
         await _until_heard(b, liar, "robot_66")
         before = counts["malformed"]
         for verb in ("state", "stop"):
@@ -228,7 +228,7 @@ async def test_payload_over_the_limit_is_dropped() -> None:
     async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
         await shown(a, "robot_7")
         await _until_heard(b, liar, "robot_66")
-        counts = b.hub.counts.graphs["zenoh"]()
+        counts = b.hub.counts.components["zenoh"]()
         for verb, size_bytes, to in (("state", 300 * 1024, ""), ("drive", 8192, _zid_of(a, "robot_7"))):
             before = counts["oversized"]
 
@@ -265,7 +265,7 @@ async def test_flood_of_commands_delays_no_stop() -> None:
         async with asyncio.TaskGroup() as tasks:
             pouring = tasks.create_task(asyncio.to_thread(pour))
             try:
-                await expect(lambda: b.hub.counts.graphs["zenoh"]()["dropped"] > 100)
+                await expect(lambda: b.hub.counts.components["zenoh"]()["dropped"] > 100)
                 participant = a.hub.join("driver")
                 participant.drive(found, PlanarVelocity(x_m_s=0.2))
                 assert await device.velocity_other_than(STILL) == MOVING

@@ -33,7 +33,7 @@ class Scene:
 
     @property
     def counts(self) -> dict[str, int]:
-        return dict(self.daemon.hub.counts.graphs["ros1"]())
+        return dict(self.daemon.hub.counts.components["ros1"]())
 
     async def tcpros(self) -> tuple[str, int]:
         """Return the address of the daemon's topics."""

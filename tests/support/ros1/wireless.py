@@ -11,6 +11,7 @@ from hostlink.components.ros1.xml_rpc import Unreachable
 from hostlink.core.config import Ros1Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.queue import Queue
+from tests.support.hosts import host_in
 
 MASTER = "http://master:11311/"
 
@@ -73,7 +74,7 @@ class FakeWire:
 
 def local_node(hub: Hub, tasks: asyncio.TaskGroup, **settings: Any) -> tuple[LocalNode, FakeRpc]:
     """Make a node in the hub, and its calls."""
-    node = LocalNode(hub, Ros1Config(master=MASTER, **settings), "/hostlink", tasks)
+    node = LocalNode(host_in(hub, "ros1"), Ros1Config(master=MASTER, **settings), "/hostlink", tasks)
     rpc = FakeRpc()
     node.uri, node.rpc = "http://here:1/", cast("Rpc", rpc)
     return node, rpc

@@ -364,7 +364,7 @@ def test_failed_handshake_says_what_is_wrong_and_what_to_do(
 
 def test_metrics_have_robots_links_and_graphs(check: Callable[..., None]) -> None:
     async def test(api: ApiMemory) -> None:
-        api.hub.counts.graphs["ros1"] = lambda: {"opened": 3}
+        api.hub.counts.components["ros1"] = lambda: {"opened": 3}
         await api.move_to(1.0, 2.0, 0.5)
         await api.request("PUT", VELOCITY, FAST)
         lines = (await api.request("GET", "/metrics")).body.decode().splitlines()

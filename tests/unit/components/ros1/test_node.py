@@ -12,9 +12,12 @@ from structlog.testing import capture_logs
 from hostlink.components.ros1 import node as module
 from hostlink.components.ros1.connections import Port
 from hostlink.components.ros1.local_node import Ros1Counts
-from hostlink.components.ros1.node import CRASHED, RETRY_S, find_host, ros1_running
+from hostlink.components.ros1.node import CRASHED, RETRY_S, Ros1, find_host
+from hostlink.core.components import supervise
 from hostlink.core.config import Config, Ros1Config
+from hostlink.core.host import Host
 from hostlink.core.hub.hub import Hub
+from hostlink.core.runtime.cancellation import meanwhile
 from hostlink.errors import ConfigError
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
@@ -72,15 +75,15 @@ class FakeMember:
 
 
 @pytest.mark.parametrize(
-    ("failure", "reason"),
+    ("failure", "reason", "code"),
     [
-        (None, "another node has the name"),
-        (ConfigError("ros1.port 7", "is in use"), "ros1.port 7 is in use"),
-        (ZeroDivisionError(), CRASHED),
+        (None, "another node has the name", "component_troubled"),
+        (ConfigError("ros1.port 7", "is in use"), "ros1.port 7 is in use", "component_troubled"),
+        (ZeroDivisionError(), CRASHED, "component_failed"),
     ],
 )
-def test_end_of_the_node_is_reported_and_the_daemon_continues(
-    monkeypatch: pytest.MonkeyPatch, failure: Exception | None, reason: str
+def test_end_of_the_node_is_reported_and_a_node_that_crashed_is_started_again(
+    monkeypatch: pytest.MonkeyPatch, failure: Exception | None, reason: str, code: str
 ) -> None:
     @asynccontextmanager
     async def serving(_node: object, _names: object, host: str) -> AsyncIterator[Any]:
@@ -95,19 +98,22 @@ def test_end_of_the_node_is_reported_and_the_daemon_continues(
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=False)
         config = Ros1Config(master="http://master:11311/", host="10.0.0.1")
-        async with ros1_running(hub, config, reasons.append):
-            await asyncio.sleep(1.0)
+        async with meanwhile(("ros1", supervise(hub, "ros1", lambda: Ros1(config, reasons.append)))):
+            await asyncio.sleep(0.5)
             assert len(reasons) == 1
+            assert [found.code for found in hub.diagnoses.own.values()] == [code]
+            await asyncio.sleep(1.0)
+            assert len(reasons) == (2 if reason == CRASHED else 1)
 
     with capture_logs() as logs:
         run_virtual(run())
-    assert [each.replace(":", "") for each in reasons] == [reason]
-    (line,) = [each for each in logs if each["event"] == "ros1.ended"]
-    assert line["reason"] == reasons[0]
+    assert {each.replace(":", "") for each in reasons} == {reason}
+    lines = [each for each in logs if each["event"] == "ros1.ended"]
+    assert [line["reason"] for line in lines] == reasons
 
 
 def test_end_of_the_daemon_reports_no_end_of_the_node(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def forever(_hub: Hub, _config: Ros1Config) -> str:
+    async def forever(_host: Host, _config: Ros1Config) -> str:
         await asyncio.sleep(1e6)
         return ""
 
@@ -115,7 +121,7 @@ def test_end_of_the_daemon_reports_no_end_of_the_node(monkeypatch: pytest.Monkey
     reasons: list[str] = []
 
     async def run() -> None:
-        async with ros1_running(Hub(Config(), CATALOG), CONFIG, reasons.append):
+        async with meanwhile(("ros1", supervise(Hub(Config(), CATALOG), "ros1", lambda: Ros1(CONFIG, reasons.append)))):
             await asyncio.sleep(1.0)
 
     run_virtual(run())

@@ -17,6 +17,7 @@ from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_in
 from tests.support.virtual_loop import run_virtual
 
 
@@ -27,7 +28,7 @@ class Scene:
         self.hub = Hub(Config(), CATALOG, reraises=reraises)
         self.received: list[list[bytes]] = []
         self.ends = 0
-        self.wire = Wire(self.hub, self.received.append, self._end)
+        self.wire = Wire(host_in(self.hub), self.received.append, self._end)
         self.transport = ApiTransport("10.0.0.9")
         self.transport.protocol = self.wire
         self.wire.connection_made(self.transport)

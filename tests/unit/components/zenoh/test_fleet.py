@@ -91,7 +91,7 @@ class World:
         return await self.program.driven(self.robot(), velocity)
 
     def counts(self, hub: Hub) -> dict[str, int]:
-        return dict(hub.counts.graphs["fleet"]())
+        return dict(hub.counts.components["fleet"]())
 
 
 def with_fleet(test: Callable[[World], Awaitable[None]], *, drivers: tuple[str, ...] = ("*",)) -> None:
