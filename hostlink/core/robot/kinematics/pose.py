@@ -43,7 +43,7 @@ def moved(pose: Pose, x_m: float, y_m: float, turned_rad: float) -> Pose:
 
 
 def yaw_of(x: float, y: float, z: float, w: float) -> float:
-    """The heading of a quaternion of any length, in radians. By products alone: a length of zero is no error."""
+    """The heading of a quaternion of any length, in radians. By products alone: a length of zero raises nothing."""
     return wrap_angle(math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
