@@ -8,8 +8,6 @@ from typing import ClassVar
 from hostlink.core.host import Component, Host
 from hostlink.errors import ConfigError, HostlinkError
 
-MAX_WAITING = 16  # datagrams
-
 
 @dataclass(frozen=True, kw_only=True)
 class StatusSettings:
@@ -38,23 +36,25 @@ class Status(Component[StatusSettings]):
         return f"states of robots to udp://{self.settings.host}:{self.settings.port}"
 
     async def run(self, host: Host) -> None:
-        """Send, and take stops."""
-        loop, received = asyncio.get_running_loop(), asyncio.Queue[bytes](MAX_WAITING)
+        """Send, and take stops. Several that wait are one."""
+        is_wanted = asyncio.Event()
 
         class Receiver(asyncio.DatagramProtocol):
             def datagram_received(self, data: bytes, addr: object) -> None:  # noqa: ARG002 - as asyncio calls it
-                if received.full():
-                    host.count("dropped")
+                if data == b"stop":
+                    is_wanted.set()
                 else:
-                    received.put_nowait(data)
+                    host.count("malformed")
 
         address = (self.settings.host, self.settings.port)
+        loop = asyncio.get_running_loop()
         transport, _ = await loop.create_datagram_endpoint(Receiver, remote_addr=address)
         try:
             host.spawn(self._send(host, transport), name="sender")
             while True:
-                if await received.get() == b"stop":
-                    await self._stop(host)
+                await is_wanted.wait()
+                is_wanted.clear()
+                await self._stop(host)
         finally:
             transport.close()
 
@@ -68,7 +68,7 @@ class Status(Component[StatusSettings]):
 
     async def _stop(self, host: Host) -> None:
         try:
-            stopped = await host.stop(by="a datagram")
+            stopped = await host.stop(by="a datagram", wait_s=0.0)
         except HostlinkError as error:  # of one robot; all others are stopped
             host.report(f"a stop has failed: {error}")
             return
