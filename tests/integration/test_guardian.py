@@ -108,8 +108,8 @@ def parsed_kib(rollup: str) -> dict[str, int]:
 
 
 def guarded(ours: Guardian) -> int:
-    """Return the number of connections that the guardian holds; -1 while it starts."""
-    return guarded_by(pid(ours))
+    """Return the number of connections that the guardian holds; -1 while it starts, or waits for its start."""
+    return -1 if ours._process is None else guarded_by(pid(ours))
 
 
 async def test_a_daemon_that_is_gone_leaves_zeros_then_id_11_then_the_end() -> None:
@@ -312,11 +312,12 @@ async def test_a_guardian_that_is_killed_is_replaced_by_one_that_guards_everythi
 
 async def test_a_guardian_that_does_not_answer_is_replaced() -> None:
     with connections() as (peer,), capture_logs() as lines:
-        async with guardian(ping_s=0.02, answer_s=0.3) as ours:
+        async with guardian(
+            ping_s=0.02, answer_s=1.0
+        ) as ours:  # on a busy machine the new one is slow, and replaced, too
             os.kill(pid(ours), signal.SIGSTOP)
             watch(ours, [peer])
-            await expect(lambda: sum(line["event"] == "guardian.started" for line in lines) == 2)
-            await expect(lambda: guarded(ours) == 1)
+            await expect(lambda: sum(line["event"] == "guardian.started" for line in lines) >= 2 and guarded(ours) == 1)
     assert next(line for line in lines if line["event"] == "guardian.ended")["reason"] == "stuck"
 
 
