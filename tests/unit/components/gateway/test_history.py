@@ -36,9 +36,10 @@ async def boxed(folder: Path) -> AsyncIterator[tuple[RestMemory, BlackBox]]:
     """Run a REST API whose black box has two poses and one command of the robot."""
     async with rest_memory(settle_s=0.05) as api:
         box = BlackBox(api.hub, folder)
+        before = len(api.hub.topics.find(f"/{ROBOT}/odometry").subscribers)
         box.start()
         api.add(HistoryRoutes(api.hub, box, box.folder).routes())
-        await expect(lambda: api.hub.topics.find(f"/{ROBOT}/odometry").subscribers)
+        await expect(lambda: len(api.hub.topics.find(f"/{ROBOT}/odometry").subscribers) > before)
         await api.device.send(ODOMETRY_ID, POSE.pack(1.00000049, 2.0, 0.5))
         await api.device.send(ODOMETRY_ID, POSE.pack(1.5, 2.0, 0.5))
         await expect(lambda: api.hub.topics.find(f"/{ROBOT}/odometry").messages == 2)
