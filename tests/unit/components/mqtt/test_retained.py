@@ -1,0 +1,93 @@
+"""Retained messages: after any history the broker has those of the known robots, and no others."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.components.mqtt.retained import MAX_EARLIER, Retained
+from hostlink.components.mqtt.settings import MqttSettings
+from hostlink.components.mqtt.topics import Topics
+from tests.unit.components.mqtt.robots import robot
+
+NAMES = ("a", "b", "c")
+
+
+def of(names: set[str]) -> dict[str, str]:
+    return {f"hostlink/robots/{name}/availability": name for name in names}
+
+
+class Broker:
+    """What a broker keeps."""
+
+    def __init__(self, **settings: object) -> None:
+        self.retained = Retained(MqttSettings(**settings), Topics("hostlink"))  # type: ignore[arg-type]
+        self.kept: dict[str, bytes] = {}
+        self.received = 0
+
+    def update(self, *robots: object, now_s: float = 0.0) -> None:
+        for each in self.retained.update(robots, now_s=now_s):  # type: ignore[arg-type]
+            self.received += 1
+            if each.payload:
+                self.kept[each.topic] = each.payload
+            else:
+                self.kept.pop(each.topic, None)
+
+    @property
+    def robots(self) -> set[str]:
+        return {topic.split("/")[2] for topic in self.kept if topic.startswith("hostlink/robots/")}
+
+
+@given(st.lists(st.sets(st.sampled_from(NAMES))), st.booleans())
+def test_broker_has_the_messages_of_the_known_robots(history: list[set[str]], discovery: bool) -> None:
+    broker = Broker(discovery=discovery)
+    for known in history:
+        broker.update(*(robot(name) for name in sorted(known)))
+        assert broker.robots == known
+        assert len(broker.kept) == len(known) * (3 if discovery else 2)
+
+
+def test_unchanged_state_is_not_published_again() -> None:
+    broker = Broker()
+    broker.update(robot("a"))
+    assert broker.received == 3
+    broker.update(robot("a"))
+    assert broker.received == 3
+    broker.update(robot("a", holder="teleop"))
+    assert broker.received == 4
+
+
+def test_availability_follows_the_connection() -> None:
+    broker = Broker()
+    broker.update(robot("a"))
+    assert broker.kept["hostlink/robots/a/availability"] == b"online"
+    broker.update(robot("a", link=None))
+    assert broker.kept["hostlink/robots/a/availability"] == b"offline"
+
+
+def test_robot_of_an_earlier_run_is_offline_and_then_forgotten() -> None:
+    broker = Broker(forget_after_s=600.0)
+    broker.kept["hostlink/robots/old/availability"] = b"online"
+    broker.kept["hostlink/robots/old/state"] = b"{}"
+    broker.kept["homeassistant/device/hostlink_old/config"] = b"{}"
+    broker.retained.find("old", now_s=100.0)
+    broker.update(now_s=100.0)
+    assert broker.kept["hostlink/robots/old/availability"] == b"offline"
+    broker.update(now_s=699.0)
+    assert broker.robots == {"old"}
+    broker.update(now_s=700.0)
+    assert broker.kept == {}
+
+
+def test_robot_of_an_earlier_run_that_returns_is_kept() -> None:
+    broker = Broker(forget_after_s=600.0)
+    broker.retained.find("a", now_s=0.0)
+    broker.update(now_s=0.0)
+    broker.update(robot("a"), now_s=10.0)
+    broker.update(robot("a"), now_s=1000.0)
+    assert broker.kept["hostlink/robots/a/availability"] == b"online"
+
+
+def test_robots_of_earlier_runs_are_bounded() -> None:
+    broker = Broker()
+    for number in range(MAX_EARLIER + 3):
+        broker.retained.find(f"r{number}", now_s=0.0)
+    assert broker.retained.excess == 3
