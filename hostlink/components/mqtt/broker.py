@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import re
+import socket
 import ssl
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
@@ -89,6 +90,7 @@ async def connected(
         keepalive=settings.keepalive_s,
         properties=properties,
         tls_context=tls,
+        socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
     )
     with as_os_errors(settings.broker):
         async with client:

@@ -25,7 +25,7 @@ class Commands:
 
     | message | live | retained | retained and empty: removes what the broker has kept |
     |---|---|---|---|
-    | stop, lock | acts, whatever its payload is | acts: a stop too many is safe | acts |
+    | stop, lock | acts with any payload | acts: a stop too many is safe | acts |
     | unlock, drive | acts | refused: the time of its sending is unknown | ignored |
     """
 

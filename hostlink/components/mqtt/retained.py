@@ -23,7 +23,7 @@ class Publication:
 
 @dataclass
 class Retained:
-    """What this run has published, and the robots of earlier runs whose messages the broker still has.
+    """Messages that this run has published, and the robots of earlier runs whose messages the broker still has.
 
     A robot that hostlink forgets loses its messages at once. A robot of an earlier run becomes `offline` at once, and
     loses them when it has not returned within `forget_after_s`: a restart of hostlink must not remove a device of Home

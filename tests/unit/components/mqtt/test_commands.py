@@ -125,7 +125,7 @@ def drive(**fields: Any) -> str:
 
 @pytest.mark.parametrize("retain", [False, True])
 @given(payload=st.binary(max_size=3000))
-def test_stop_and_lock_act_whatever_their_payload_is(retain: bool, payload: bytes) -> None:
+def test_stop_and_lock_act_with_any_payload(retain: bool, payload: bytes) -> None:
     world = World()
     world.receive("robots/a/stop", payload, retain=retain)
     world.receive("stop", payload, retain=retain)
@@ -152,7 +152,7 @@ def test_retained_command_is_reported_until_it_is_removed() -> None:
     assert world.host.problem.endswith("remove it with  mosquitto_pub -r -n -t hostlink/robots/a/unlock")
     world.receive("robots/a/unlock", "", retain=True)
     assert world.host.problem == ""
-    assert len(world.answers) == 1  # of the first: the removal is no command
+    assert len(world.answers) == 1  # of the first: the removal is not a command
     assert world.host.counts["retained_removed"] == 1
 
 

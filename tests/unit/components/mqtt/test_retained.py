@@ -16,7 +16,7 @@ def of(names: set[str]) -> dict[str, str]:
 
 
 class Broker:
-    """What a broker keeps."""
+    """Messages that a broker keeps."""
 
     def __init__(self, **settings: object) -> None:
         self.retained = Retained(MqttSettings(**settings), Topics("hostlink"))  # type: ignore[arg-type]

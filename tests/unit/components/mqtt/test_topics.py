@@ -22,7 +22,7 @@ def test_command_of_all_robots_is_parsed(prefix: str, verb: Verb) -> None:
 
 
 @given(prefixes, st.text(alphabet="hostlink/robots_0stopdrive-+#é ", max_size=40))
-def test_other_topics_are_no_command(prefix: str, text: str) -> None:
+def test_other_topics_are_not_commands(prefix: str, text: str) -> None:
     topics = Topics(prefix)
     request = topics.parse(text)
     if request is not None:
@@ -45,7 +45,7 @@ def test_other_topics_are_no_command(prefix: str, text: str) -> None:
         f"hostlink/robots/{'a' * 65}/stop",
     ],
 )
-def test_topic_that_is_almost_a_command_is_none(topic: str) -> None:
+def test_topic_that_is_almost_a_command_is_not_parsed(topic: str) -> None:
     assert Topics("hostlink").parse(topic) is None
 
 
