@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Coroutine
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from hostlink.components.mqtt import payloads
 from hostlink.components.mqtt.discovery import LOCK, UNLOCK
@@ -17,7 +17,11 @@ MEASURED_S: Final = 1.5  # a stop's wait for the odometry
 MAX_MEASURED: Final = 4  # stops of one target that wait for its odometry; more are answered without it
 MAX_RETAINED: Final = 16  # topics that are reported
 
-Answer = Callable[[str | None, bytes], None]
+
+class Answer(Protocol):
+    """Queue an answer about a robot, or about all; `is_drive`: it refuses a velocity, as many others may."""
+
+    def __call__(self, robot: str | None, payload: bytes, *, is_drive: bool) -> None: ...
 
 
 class Commands:
@@ -180,7 +184,7 @@ class Commands:
             )
 
     def _accept(self, verb: Verb, robot: str | None, **facts: object) -> None:
-        self._answer(robot, encode_answer(verb, ok=True, **facts))
+        self._answer(robot, encode_answer(verb, ok=True, **facts), is_drive=False)
 
     def _refuse(self, request: Request, error: HostlinkError) -> None:
         self._host.count("refused")
@@ -189,7 +193,7 @@ class Commands:
         answer = encode_answer(
             request.verb, ok=False, kind=kind, reason=str(error), by=holder, epoch=self._epoch(request)
         )
-        self._answer(request.robot, answer)
+        self._answer(request.robot, answer, is_drive=request.verb is Verb.DRIVE)
 
     def _epoch(self, request: Request) -> int | None:
         if request.verb is not Verb.DRIVE or request.robot is None:

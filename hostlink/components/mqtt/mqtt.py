@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hostlink.components.mqtt.broker import Connection
 
 MAX_ANSWERS: Final = 256  # that wait to be sent
+REFUSALS_S: Final = 0.01  # between two answers to velocities
 SHORTEST_S: Final = 0.2  # between two looks at all robots
 ROBOTS_A_TURN: Final = 32
 FAREWELL_S: Final = 1.0
@@ -70,6 +71,7 @@ class Run:
         self._topics = Topics(settings.prefix)
         self._retained = Retained(settings, self._topics)
         self._answers: deque[tuple[str, bytes]] = deque()
+        self._refused: dict[str, bytes] = {}
         self._answered, self._changed = asyncio.Event(), asyncio.Event()
         self._commands = Commands(host, settings, self._topics, self._answer, time.time)
 
@@ -122,20 +124,33 @@ class Run:
             self._retained.find(robot, now_s=self._host.now_s)
             self._changed.set()
 
-    def _answer(self, robot: str | None, payload: bytes) -> None:
-        if len(self._answers) >= MAX_ANSWERS:
-            self._answers.popleft()
+    def _answer(self, robot: str | None, payload: bytes, *, is_drive: bool) -> None:
+        """Queue an answer. Of refused velocities only a robot's newest one waits, behind all other answers."""
+        topic = self._topics.answer(robot)
+        if is_drive:
+            if self._refused.pop(topic, None) is not None:
+                self._host.count("answers_replaced")
+            waiting = len(self._refused)
+        else:
+            waiting = len(self._answers)
+        if waiting >= MAX_ANSWERS:
             self._host.count("answers_dropped")
-        self._answers.append((self._topics.answer(robot), payload))
+        elif is_drive:
+            self._refused[topic] = payload
+        else:
+            self._answers.append((topic, payload))
         self._answered.set()
 
     async def _send_answers(self, feed: "Connection") -> None:
         while True:
             await self._answered.wait()
             self._answered.clear()
-            while self._answers:
-                await feed.publish(*self._answers.popleft())
+            while self._answers or self._refused:
+                answer = self._answers.popleft() if self._answers else self._refused.popitem()
+                await feed.publish(*answer)
                 self._host.count("answers")
+                if not self._answers:
+                    await asyncio.sleep(REFUSALS_S)
 
     async def _publish(self, feed: "Connection") -> None:
         """Publish what has changed: SHORTEST_S after the last look if something happened, else at each interval."""

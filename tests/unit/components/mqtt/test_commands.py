@@ -102,7 +102,8 @@ class World:
         made = MqttSettings(**settings)
         self.commands = Commands(self.host, made, Topics("hostlink"), self._answer, lambda: NOW_S)  # type: ignore[arg-type]
 
-    def _answer(self, name: str | None, payload: bytes) -> None:
+    def _answer(self, name: str | None, payload: bytes, *, is_drive: bool) -> None:
+        assert is_drive == (json.loads(payload)["command"] == "drive")
         self.answers.append((name, json.loads(payload)))
 
     def receive(self, topic: str, payload: str | bytes = b"", *, retain: bool = False) -> None:
