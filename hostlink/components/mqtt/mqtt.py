@@ -6,11 +6,12 @@ import importlib
 import importlib.util
 import time
 from collections import deque
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from hostlink.components.mqtt.commands import Commands
 from hostlink.components.mqtt.discovery import OFFLINE, ONLINE
-from hostlink.components.mqtt.retained import Retained
+from hostlink.components.mqtt.retained import Publication, Retained
 from hostlink.components.mqtt.settings import MqttSettings
 from hostlink.components.mqtt.topics import Topics
 from hostlink.core.host import Component, EventKind, Host, RobotEvent
@@ -160,16 +161,22 @@ class Run:
         while True:
             self._changed.clear()
             robots = self._host.robots()
-            for number, publication in enumerate(self._retained.update(robots, now_s=self._host.now_s), 1):
-                await feed.publish(publication.topic, publication.payload, retain=True)
-                self._host.count("published" if publication.payload else "cleared")
+            for number, robot in enumerate(robots, 1):
+                await self._send(feed, self._retained.update(robot))
                 if number % ROBOTS_A_TURN == 0:
                     await asyncio.sleep(0)
-            self._commands.forget(self._retained.robots)
+            present = {robot.name for robot in robots}
+            await self._send(feed, self._retained.remove_others(present, now_s=self._host.now_s))
+            self._commands.forget(present)
             await asyncio.sleep(shortest_s)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._settings.interval_s - shortest_s):
                     await self._changed.wait()
+
+    async def _send(self, feed: "Connection", publications: Iterable[Publication]) -> None:
+        for each in publications:
+            await feed.publish(each.topic, each.payload, retain=True)
+            self._host.count("published" if each.payload else "cleared")
 
     def _note(self, event: RobotEvent) -> None:
         if event.kind is not EventKind.LOGGED:

@@ -1,6 +1,6 @@
 """Retained messages that the broker should have, and those that it must lose. Pure."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -34,13 +34,9 @@ class Retained:
     topics: Topics
     excess: int = 0
     _published: dict[str, dict[str, bytes]] = field(default_factory=dict)
+    _configs: dict[str, tuple[str | None, bytes]] = field(default_factory=dict)
     _earlier: dict[str, float] = field(default_factory=dict)  # robot: when it was found
     _found: list[str] = field(default_factory=list)
-
-    @property
-    def robots(self) -> set[str]:
-        """Names of robots with messages of this run."""
-        return set(self._published)
 
     def find(self, robot: str, *, now_s: float) -> None:
         """Note a robot of which the broker has a message of an earlier run."""
@@ -52,19 +48,20 @@ class Retained:
         self._earlier[robot] = now_s
         self._found.append(robot)
 
-    def update(self, robots: Iterable[RobotState], *, now_s: float) -> Iterator[Publication]:
-        """Yield what has changed since the last call."""
-        present = set()
-        for robot in robots:
-            present.add(robot.name)
-            self._earlier.pop(robot.name, None)
-            known = self._published.setdefault(robot.name, {})
-            for topic, payload in self._messages(robot):
-                if known.get(topic) != payload:
-                    known[topic] = payload
-                    yield Publication(topic, payload)
+    def update(self, robot: RobotState) -> Iterator[Publication]:
+        """Yield what has changed of a robot since the last call."""
+        self._earlier.pop(robot.name, None)
+        known = self._published.setdefault(robot.name, {})
+        for topic, payload in self._messages(robot):
+            if known.get(topic) != payload:
+                known[topic] = payload
+                yield Publication(topic, payload)
+
+    def remove_others(self, present: Collection[str], *, now_s: float) -> Iterator[Publication]:
+        """Yield what removes the messages of robots that hostlink has forgotten."""
         for name in self._published.keys() - present:
             del self._published[name]
+            self._configs.pop(name, None)
             yield from self._removal(name)
         yield from self._update_earlier(now_s)
 
@@ -79,21 +76,25 @@ class Retained:
                 yield from self._removal(name)
 
     def _messages(self, robot: RobotState) -> Iterator[tuple[str, bytes]]:
-        if self.settings.discovery:
-            may_unlock = self.settings.unlock
-            yield (
-                self._config_topic(robot.name),
-                encode_config(self.topics, robot.name, robot.firmware, may_unlock=may_unlock),
-            )
+        yield self._config_topic(robot.name), self._config(robot)
         yield self.topics.state(robot.name), encode_state(robot)
         availability = OFFLINE if robot.link is None else ONLINE
         yield self.topics.availability(robot.name), availability.encode()
 
     def _removal(self, robot: str) -> Iterator[Publication]:
-        if self.settings.discovery:
-            yield Publication(self._config_topic(robot), b"")
+        yield Publication(self._config_topic(robot), b"")
         yield Publication(self.topics.state(robot), b"")
         yield Publication(self.topics.availability(robot), b"")
+
+    def _config(self, robot: RobotState) -> bytes:
+        """Return the discovery message. Empty without discovery: it removes the one of an earlier run."""
+        if not self.settings.discovery or robot.is_played:
+            return b""
+        firmware, config = self._configs.get(robot.name, (None, b""))
+        if not config or firmware != robot.firmware:
+            config = encode_config(self.topics, robot.name, robot.firmware, may_unlock=self.settings.unlock)
+            self._configs[robot.name] = robot.firmware, config
+        return config
 
     def _config_topic(self, robot: str) -> str:
         return config_topic(self.settings.discovery_prefix, self.topics, robot)

@@ -24,7 +24,9 @@ class Broker:
         self.received = 0
 
     def update(self, *robots: object, now_s: float = 0.0) -> None:
-        for each in self.retained.update(robots, now_s=now_s):  # type: ignore[arg-type]
+        changes = [each for robot in robots for each in self.retained.update(robot)]  # type: ignore[arg-type]
+        present = [robot.name for robot in robots]  # type: ignore[attr-defined]
+        for each in [*changes, *self.retained.remove_others(present, now_s=now_s)]:
             self.received += 1
             if each.payload:
                 self.kept[each.topic] = each.payload
@@ -84,6 +86,26 @@ def test_robot_of_an_earlier_run_that_returns_is_kept() -> None:
     broker.update(robot("a"), now_s=10.0)
     broker.update(robot("a"), now_s=1000.0)
     assert broker.kept["hostlink/robots/a/availability"] == b"online"
+
+
+def test_discovery_that_was_switched_off_removes_the_device() -> None:
+    broker = Broker(discovery=False)
+    broker.kept["homeassistant/device/hostlink_a/config"] = b"{}"
+    broker.update(robot("a"))
+    assert set(broker.kept) == {"hostlink/robots/a/state", "hostlink/robots/a/availability"}
+
+
+def test_played_robot_is_not_a_device() -> None:
+    broker = Broker()
+    broker.update(robot("a", is_played=True))
+    assert set(broker.kept) == {"hostlink/robots/a/state", "hostlink/robots/a/availability"}
+
+
+def test_new_firmware_changes_the_device() -> None:
+    broker = Broker()
+    broker.update(robot("a", firmware=None))
+    broker.update(robot("a", firmware="rover 2"))
+    assert b"rover 2" in broker.kept["homeassistant/device/hostlink_a/config"]
 
 
 def test_robots_of_earlier_runs_are_bounded() -> None:
