@@ -51,6 +51,7 @@ class Program:
     def __init__(self, client: aiomqtt.Client) -> None:
         self._client = client
         self.newest: dict[str, str] = {}  # by topic; without those that were removed
+        self.statuses: list[str] = []  # of hostlink, in order
         self.answers: list[dict[str, Any]] = []
 
     async def read(self) -> None:
@@ -61,6 +62,8 @@ class Program:
     async def _read(self) -> None:
         async for message in self._client.messages:
             topic, text = message.topic.value, bytes(message.payload).decode()
+            if topic == "hostlink/status":
+                self.statuses.append(text)
             if topic.endswith("/answer"):
                 self.answers.append(json.loads(text))
             elif text:

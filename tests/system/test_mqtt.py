@@ -242,6 +242,22 @@ async def test_status_is_offline_after_the_end_of_the_daemon(tmp_path: Path) -> 
             await expect(lambda: mqtt.newest["hostlink/status"] == "offline")
 
 
+async def test_daemons_with_one_prefix_report_it_and_keep_their_robots(tmp_path: Path) -> None:
+    port = free_port()
+    async with (
+        broker(tmp_path, port),
+        program(port) as mqtt,
+        serve("--config", config(tmp_path, port)) as daemon,
+        simulated(daemon.tcp),
+    ):
+        await expect(lambda: mqtt.state()["connected"])
+        async with serve("--config", config(tmp_path, port, "forget_after_s = 1.0")):
+            found = await daemon.logged("daemon.diagnosed")
+            assert "give each daemon a prefix of its own" in found["detail"]
+        await expect(lambda: mqtt.statuses[-2:] == ["offline", "online"])  # the first is the last will of the other
+        await expect(lambda: mqtt.newest[f"{ROBOT}/availability"] == "online")
+
+
 async def test_wrong_password_says_what_to_check_and_the_right_one_works(tmp_path: Path) -> None:
     port, passwords, secret = free_port(), tmp_path / "passwords", tmp_path / "secret"
     made = await asyncio.create_subprocess_exec("mosquitto_passwd", "-c", "-b", str(passwords), "robots", "right")

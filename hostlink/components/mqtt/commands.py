@@ -34,10 +34,16 @@ class Commands:
     """
 
     def __init__(
-        self, host: Host, settings: MqttSettings, topics: Topics, answer: Answer, wall_s: Callable[[], float]
+        self,
+        host: Host,
+        settings: MqttSettings,
+        topics: Topics,
+        answer: Answer,
+        report: Callable[[], None],
+        wall_s: Callable[[], float],
     ) -> None:
         self._host, self._settings, self._topics = host, settings, topics
-        self._answer, self._wall_s = answer, wall_s
+        self._answer, self._report, self._wall_s = answer, report, wall_s
         self._participants: dict[str, Participant] = {}
         self._measured: Counter[str | None] = Counter()
         self._retained: set[str] = set()
@@ -98,7 +104,7 @@ class Commands:
         elif len(self._retained) < MAX_RETAINED and topic not in self._retained:
             self._retained.add(topic)
             self._host.log.warning("mqtt.retained_found", topic=topic)
-        self._host.report(self.problem)
+        self._report()
 
     @property
     def problem(self) -> str:

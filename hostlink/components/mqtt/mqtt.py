@@ -74,7 +74,9 @@ class Run:
         self._answers: deque[tuple[str, bytes]] = deque()
         self._refused: dict[str, bytes] = {}
         self._answered, self._changed = asyncio.Event(), asyncio.Event()
-        self._commands = Commands(host, settings, self._topics, self._answer, time.time)
+        self._is_status_sent = False
+        self._other = self._refused_topics = ""  # problems
+        self._commands = Commands(host, settings, self._topics, self._answer, self._report, time.time)
 
     async def serve(self) -> None:
         """Connect and serve; returns by an error."""
@@ -93,7 +95,6 @@ class Run:
         async with feed as feed_connection, control as control_connection:
             await self._subscribe(control_connection, feed_connection)
             try:
-                await feed_connection.publish(self._topics.status, ONLINE.encode(), retain=True, qos=1)
                 self._host.log.info("mqtt.connected", broker=settings.broker, prefix=settings.prefix)
                 self._host.spawn(control_connection.ended(), name="control")
                 self._host.spawn(self._send_answers(feed_connection), name="answers")
@@ -105,25 +106,42 @@ class Run:
                         await feed_connection.publish(self._topics.status, OFFLINE.encode(), retain=True, qos=1)
 
     async def _subscribe(self, control: "Connection", feed: "Connection") -> None:
-        self._host.report("")
+        self._report()
         refused = await control.subscribe(self._topics.commands, qos=1)
         refused += await feed.subscribe([self._topics.drives], qos=0)
-        refused += await feed.subscribe([self._topics.availabilities], qos=0, own=False, as_published=False)
+        found = [self._topics.availabilities, self._topics.status]
+        refused += await feed.subscribe(found, qos=0, own=False, as_published=False)
         if refused:
             self._host.log.warning("mqtt.subscription_refused", topics=refused)
-            self._host.report(
+            self._refused_topics = (
                 f"the broker lets {self._settings.username or 'hostlink'} not read {refused[0]}: permit it there"
             )
 
     def _receive(self, message: "aiomqtt.Message") -> None:
         """Act on a message; in the turn in which it is read."""
-        topic = message.topic.value
+        topic, payload = message.topic.value, bytes(message.payload)
         robot = self._topics.robot_of_availability(topic)
-        if robot is None:
-            self._commands.receive(topic, bytes(message.payload), retain=message.retain)
-        elif message.retain and message.payload:
-            self._retained.find(robot, now_s=self._host.now_s)
+        if topic == self._topics.status:
+            self._receive_status(payload, is_kept=message.retain)
+        elif robot is None:
+            self._commands.receive(topic, payload, retain=message.retain)
+        else:
+            self._retained.find(robot, payload, is_kept=message.retain, now_s=self._host.now_s)
             self._changed.set()
+
+    def _receive_status(self, payload: bytes, *, is_kept: bool) -> None:
+        """Read a status of another connection: the last will of an earlier run of ours, or another daemon."""
+        if is_kept:
+            return
+        if payload == ONLINE.encode():
+            self._other = f"another program publishes {self._topics.status}: give each daemon a prefix of its own"
+            self._report()
+        else:
+            self._is_status_sent = False
+            self._changed.set()
+
+    def _report(self) -> None:
+        self._host.report("; ".join(filter(None, (self._refused_topics, self._other, self._commands.problem))))
 
     def _answer(self, robot: str | None, payload: bytes, *, is_drive: bool) -> None:
         """Queue an answer. Of refused velocities only a robot's newest one waits, behind all other answers."""
@@ -160,6 +178,9 @@ class Run:
         shortest_s = min(SHORTEST_S, self._settings.interval_s)
         while True:
             self._changed.clear()
+            if not self._is_status_sent:
+                self._is_status_sent = True
+                await feed.publish(self._topics.status, ONLINE.encode(), retain=True, qos=1)
             robots = self._host.robots()
             for number, robot in enumerate(robots, 1):
                 await self._send(feed, self._retained.update(robot))

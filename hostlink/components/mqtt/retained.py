@@ -38,9 +38,19 @@ class Retained:
     _earlier: dict[str, float] = field(default_factory=dict)  # robot: when it was found
     _found: list[str] = field(default_factory=list)
 
-    def find(self, robot: str, *, now_s: float) -> None:
-        """Note a robot of which the broker has a message of an earlier run."""
-        if robot in self._published or robot in self._earlier:
+    def find(self, robot: str, payload: bytes, *, is_kept: bool, now_s: float) -> None:
+        """Note an availability that another program has published: an earlier run, if the broker has kept it.
+
+        A message of ours that another daemon with this prefix has replaced is published again.
+        """
+        if robot in self._published:
+            if self._published[robot].get(self.topics.availability(robot)) != payload:
+                self._published[robot].clear()
+            return
+        if not is_kept:
+            self._earlier.pop(robot, None)
+            return
+        if robot in self._earlier or not payload:
             return
         if len(self._earlier) >= MAX_EARLIER:
             self.excess += 1

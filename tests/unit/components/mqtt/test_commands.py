@@ -100,7 +100,11 @@ class World:
     def __init__(self, **settings: Any) -> None:
         self.host, self.answers = FakeHost(), []
         made = MqttSettings(**settings)
-        self.commands = Commands(self.host, made, Topics("hostlink"), self._answer, lambda: NOW_S)  # type: ignore[arg-type]
+        parts = (self.host, made, Topics("hostlink"), self._answer, self._report, lambda: NOW_S)
+        self.commands = Commands(*parts)  # type: ignore[arg-type]
+
+    def _report(self) -> None:
+        self.host.report(self.commands.problem)
 
     def _answer(self, name: str | None, payload: bytes, *, is_drive: bool) -> None:
         assert is_drive == (json.loads(payload)["command"] == "drive")

@@ -70,7 +70,7 @@ def test_robot_of_an_earlier_run_is_offline_and_then_forgotten() -> None:
     broker.kept["hostlink/robots/old/availability"] = b"online"
     broker.kept["hostlink/robots/old/state"] = b"{}"
     broker.kept["homeassistant/device/hostlink_old/config"] = b"{}"
-    broker.retained.find("old", now_s=100.0)
+    broker.retained.find("old", b"online", is_kept=True, now_s=100.0)
     broker.update(now_s=100.0)
     assert broker.kept["hostlink/robots/old/availability"] == b"offline"
     broker.update(now_s=699.0)
@@ -81,7 +81,7 @@ def test_robot_of_an_earlier_run_is_offline_and_then_forgotten() -> None:
 
 def test_robot_of_an_earlier_run_that_returns_is_kept() -> None:
     broker = Broker(forget_after_s=600.0)
-    broker.retained.find("a", now_s=0.0)
+    broker.retained.find("a", b"online", is_kept=True, now_s=0.0)
     broker.update(now_s=0.0)
     broker.update(robot("a"), now_s=10.0)
     broker.update(robot("a"), now_s=1000.0)
@@ -108,8 +108,31 @@ def test_new_firmware_changes_the_device() -> None:
     assert b"rover 2" in broker.kept["homeassistant/device/hostlink_a/config"]
 
 
+def test_message_that_another_daemon_has_replaced_is_published_again() -> None:
+    broker = Broker()
+    broker.update(robot("a"))
+    broker.retained.find("a", b"online", is_kept=False, now_s=0.0)
+    broker.update(robot("a"))
+    assert broker.received == 3
+    broker.kept.clear()
+    broker.retained.find("a", b"", is_kept=False, now_s=0.0)
+    broker.update(robot("a"))
+    assert broker.robots == {"a"}
+    assert broker.kept["hostlink/robots/a/availability"] == b"online"
+
+
+def test_robot_that_another_daemon_publishes_is_not_removed() -> None:
+    broker = Broker(forget_after_s=600.0)
+    broker.retained.find("b", b"online", is_kept=True, now_s=0.0)
+    broker.update(now_s=0.0)
+    broker.retained.find("b", b"online", is_kept=False, now_s=1.0)
+    broker.kept["hostlink/robots/b/availability"] = b"online"
+    broker.update(now_s=1000.0)
+    assert broker.robots == {"b"}
+
+
 def test_robots_of_earlier_runs_are_bounded() -> None:
     broker = Broker()
     for number in range(MAX_EARLIER + 3):
-        broker.retained.find(f"r{number}", now_s=0.0)
+        broker.retained.find(f"r{number}", b"online", is_kept=True, now_s=0.0)
     assert broker.retained.excess == 3
