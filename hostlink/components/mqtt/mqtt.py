@@ -106,16 +106,15 @@ class Run:
                         await feed_connection.publish(self._topics.status, OFFLINE.encode(), retain=True, qos=1)
 
     async def _subscribe(self, control: "Connection", feed: "Connection") -> None:
-        self._report()
         refused = await control.subscribe(self._topics.commands, qos=1)
         refused += await feed.subscribe([self._topics.drives], qos=0)
         found = [self._topics.availabilities, self._topics.status]
         refused += await feed.subscribe(found, qos=0, own=False, as_published=False)
         if refused:
             self._host.log.warning("mqtt.subscription_refused", topics=refused)
-            self._refused_topics = (
-                f"the broker lets {self._settings.username or 'hostlink'} not read {refused[0]}: permit it there"
-            )
+            user = self._settings.username or "hostlink"
+            self._refused_topics = f"the broker does not permit {user} to read {refused[0]}: change its access rules"
+        self._report()
 
     def _receive(self, message: "aiomqtt.Message") -> None:
         """Act on a message; in the turn in which it is read."""
