@@ -138,7 +138,7 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 
 .PHONY: test-packages
 test-packages:
-	@tools/require.sh tmux zsh procps systemd man-db chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES)
+	@tools/require.sh tmux zsh procps systemd man-db chromium-headless-shell firefox-esr openssl mosquitto mosquitto-clients $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES)
 
 # Lanes that are installed side by side. What cannot be installed here does not end the run: the table at its end lists the
 # tests that need it (tests/support/requirements.py).

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-EXTRAS = ("sim", "export", "ros2", "uvloop", "mdns", "zenoh", "pictures", "lab", "all")
+EXTRAS = ("sim", "export", "ros2", "uvloop", "mdns", "mqtt", "zenoh", "pictures", "lab", "all")
 OTHERS = {  # packages of PyPI that take a similar place, and what they are
     "OctoPrint": "octoprint",
     "Moonraker": "moonraker",

@@ -9,6 +9,7 @@ import pytest
 from hostlink.errors import LibraryMissing, requirements_of
 
 EXTRAS = (
+    "aiomqtt",
     "apsw",
     "lz4",
     "matplotlib",

@@ -145,4 +145,4 @@ def test_maintainer_scripts_are_valid_shell() -> None:
 
 
 def test_package_has_the_extras_for_users_and_no_tools_of_developers() -> None:
-    assert build_deb.extras() == ["export", "mdns", "ros2", "sim", "uvloop", "zenoh"]
+    assert build_deb.extras() == ["export", "mdns", "mqtt", "ros2", "sim", "uvloop", "zenoh"]
