@@ -63,7 +63,7 @@ def tests_of(module: str) -> tuple[str, ...]:
 
 
 def _package(module: str) -> str:
-    return "/".join(module.split("/")[:2])
+    return next((each for each in MORE_TESTS if module.startswith(f"{each}/")), module.rpartition("/")[0])
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from pathlib import Path
 REPORTS = Path("build/tests")
 PYTHON_TESTS = ("tests/unit", "tests/property", "tests/integration")
 STARTS_PROGRAMS = re.compile(r"\b(subprocess|tests\.support\.(process|forked_\w+|until_listening|killing)|compilers)\b")
-PURE = ("protocol", "messages", "robot", "diagnosis")
+PURE = ("core/protocol", "core/messages", "core/robot", "core/diagnosis")
 MISSING = "needs "  # begins the reason of a skip for which something is not installed
 
 Run = Callable[[list[str]], int]

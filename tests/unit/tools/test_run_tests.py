@@ -18,6 +18,8 @@ REPORT = f"""<testsuites><testsuite>
 <testcase classname="tests.some" name="test_group"><skipped message="no control group"/></testcase>
 </testsuite></testsuites>"""
 
+ROOT = Path(__file__).parents[3]
+
 
 @pytest.fixture
 def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,6 +83,12 @@ def test_groups_of_make_test_all_take_every_test_once() -> None:
         "long and alone",
     ]
     assert "tests/system/test_chaos.py" in selections["long alone"]
+
+
+def test_pure_packages_exist_and_have_tests() -> None:
+    for each in run_tests.PURE:
+        assert list((ROOT / "hostlink" / each).glob("*.py")), each
+        assert list((ROOT / "tests" / "unit" / each).glob("test_*.py")), each
 
 
 def test_tests_that_start_programs_have_no_more_workers_than_cores() -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
 from hostlink.core.protocol.rosserial.control import (
     Log,
@@ -27,18 +27,18 @@ RECORDED = bytes.fromhex(  # first TopicInfo of the robot in tests/captures
     "20000000393338666136353730393538346164386537376432333835323962653133623800020000"
 )
 INFO = DeviceEndpoint(
-    Id.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D", "938fa65709584ad8e77d238529be13b8", 512
+    EndpointKind.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D", "938fa65709584ad8e77d238529be13b8", 512
 )
 
 
 def test_recorded_topic_info_is_decoded() -> None:
-    assert decode_topic_info(Id.PUBLISHER, RECORDED) == INFO
+    assert decode_topic_info(EndpointKind.PUBLISHER, RECORDED) == INFO
     assert encode_topic_info(INFO) == RECORDED
 
 
 @pytest.mark.parametrize("size", range(len(RECORDED)))
 def test_cut_topic_info_decodes_to_none(size: int) -> None:
-    assert decode_topic_info(Id.PUBLISHER, RECORDED[:size]) is None
+    assert decode_topic_info(EndpointKind.PUBLISHER, RECORDED[:size]) is None
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_cut_topic_info_decodes_to_none(size: int) -> None:
     ids=["bytes after it", "4 GB", "no name", "space", "escape", "no ASCII", "long"],
 )
 def test_malformed_names_decode_to_none(payload: bytes) -> None:
-    assert decode_topic_info(Id.PUBLISHER, payload) is None
+    assert decode_topic_info(EndpointKind.PUBLISHER, payload) is None
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_time_wraps_after_136_years() -> None:
 def test_any_bytes_give_a_value_or_none(payload: bytes) -> None:
     for decode in (decode_log, decode_parameter, decode_parameter_request):
         decode(payload)  # type: ignore[operator]
-    found = decode_topic_info(Id.SUBSCRIBER, payload)
+    found = decode_topic_info(EndpointKind.SUBSCRIBER, payload)
     assert found is None or encode_topic_info(found) == payload
 
 

@@ -1,0 +1,67 @@
+"""A session of a protocol that overrides what it must: what a device has then, and what is not known of it."""
+
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.noise import JUDGED_S, Noise
+from hostlink.core.protocol.session import DeviceSession
+from hostlink.errors import FrameTooLarge
+from tests.support.fake_device import CATALOG
+from tests.support.text_protocol import TEXT
+
+VELOCITY = DeviceEndpoint(EndpointKind.SUBSCRIBER, 1, "car/cmd_vel", "geometry_msgs/Twist")
+OTHER = VELOCITY._replace(name="other/cmd_vel", id=2)
+NOISE = Noise(
+    age_s=JUDGED_S + 1.0, is_negotiated=False, received_bytes=100, skipped_bytes=100, frames=0, bad_checksums=0,
+    all_skipped_bytes=100, sample=b"?", early=b"", baud=None, is_outdated=False,
+)  # fmt: skip
+
+
+def announced() -> DeviceSession:
+    session = TEXT.session(CATALOG, uart_bytes_s=None, max_topics=16, is_lossy=False)
+    session.open(now_s=0.0)
+    session.receive(b"HELLO car\n", now_s=0.1)
+    assert session.topics
+    return session
+
+
+def test_session_of_a_plain_protocol_counts_and_refuses_nothing() -> None:
+    session = announced()
+    assert (session.is_regular, session.is_crowded(b"x" * 1000), session.is_outdated) == (False, False, False)
+    assert (session.bad_checksums, session.wrong_sizes, session.rejected, session.refusals) == (0, 0, {}, ())
+    assert session.too_small(lambda _: 10_000) == []
+    assert session.rest_of_frame_bytes([b"POSE 0 0 0\n"]) == 0
+    assert not session.is_refused(session.topics[0])
+    assert session.claim_bytes == 0
+
+
+def test_endpoint_that_is_announced_may_still_be_there_and_no_other() -> None:
+    session = announced()
+    assert [session.may_have(each) for each in session.topics] == [True] * len(session.topics)
+    assert not session.may_have(OTHER)
+
+
+def test_payload_beyond_the_room_of_an_endpoint_is_named_with_both_sizes() -> None:
+    session = announced()
+    error = session.too_long(VELOCITY, 10_000)
+    assert isinstance(error, FrameTooLarge)
+    assert "10000" in str(error)
+    assert str(session.room_bytes(VELOCITY)) in str(error)
+
+
+def test_last_message_is_that_of_the_protocol() -> None:
+    session = announced()
+    assert session.end_frame == b"BYE\n"
+    session.stop()
+    frames = []
+    while (frame := session.pop_frame(now_s=1.0, wall_ns=0)) is not None:
+        frames.append(frame.frame)
+    assert frames[-1] == b"BYE\n"
+
+
+def test_unreadable_bytes_are_a_finding_and_readable_ones_none() -> None:
+    session = announced()
+    assert session.explain_noise(NOISE) == ("no_sync", "100 of 100 bytes in no frame")
+    assert session.explain_noise(NOISE._replace(skipped_bytes=0)) is None
+
+
+def test_captured_host_of_a_plain_protocol_asks_for_nothing() -> None:
+    assert TEXT.host_reader()(b"HELLO?\n") == 0
