@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.events import Parameter
 from hostlink.core.protocol.rosserial.control import decode_topic_info
-from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, Id, encode
+from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, encode
 from tests.firmware.due import ROOT, Robot, library, robot
 from tests.firmware.test_due_robot import Track, logged, velocity
 from tests.firmware.worlds import world
@@ -41,7 +42,9 @@ def errors(track: Track) -> list[list[int]]:
 def test_topics_of_the_report_have_the_types_of_ros() -> None:
     with robot() as firmware:
         infos = [
-            decode_topic_info(Id.PUBLISHER, frame.payload) for frame in Track(firmware).frames if frame.topic_id == 0
+            decode_topic_info(EndpointKind.PUBLISHER, frame.payload)
+            for frame in Track(firmware).frames
+            if frame.topic_id == 0
         ]
         for info in infos:
             assert info is not None

@@ -47,8 +47,10 @@ def test_fault_removes_or_keeps_frames(fault: str, ids: list[int]) -> None:
 
 
 def test_fault_changes_topic_infos() -> None:
-    assert decode_topic_info(Id.PUBLISHER, frames("wrong_md5")[Id.PUBLISHER]) == POSE._replace(md5="0" * 32)
-    assert decode_topic_info(Id.SUBSCRIBER, frames("small_buffer")[Id.SUBSCRIBER]) == TWIST._replace(buffer_bytes=48)
+    assert decode_topic_info(EndpointKind.PUBLISHER, frames("wrong_md5")[Id.PUBLISHER]) == POSE._replace(md5="0" * 32)
+    assert decode_topic_info(EndpointKind.SUBSCRIBER, frames("small_buffer")[Id.SUBSCRIBER]) == TWIST._replace(
+        buffer_bytes=48
+    )
 
 
 def test_protocol_1_is_what_a_session_recognises() -> None:

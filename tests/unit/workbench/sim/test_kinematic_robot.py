@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from hostlink.core.messages.catalog import Catalog
-from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.rosserial.control import decode_topic_info, encode_time
 from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
 from hostlink.core.protocol.rosserial.stream import FrameStream
@@ -56,7 +56,7 @@ class Bench:
     @property
     def topics(self) -> dict[str, DeviceEndpoint]:
         infos = [
-            decode_topic_info(Id(frame.topic_id), frame.payload)
+            decode_topic_info(EndpointKind(frame.topic_id), frame.payload)
             for frame in self.frames
             if frame.topic_id in (Id.PUBLISHER, Id.SUBSCRIBER)
         ]
