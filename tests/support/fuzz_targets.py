@@ -84,7 +84,7 @@ def send_all(tried: Session, now_s: float) -> None:
 
 def control_payloads(data: bytes) -> None:
     """Each payload is nothing, or something that is the same when it is written and read again."""
-    for kind in list(Id)[: EndpointKind.SERVICE_CLIENT_SUBSCRIBER + 1]:
+    for kind in EndpointKind:
         info = control.decode_topic_info(kind, data)
         assert info is None or control.decode_topic_info(kind, control.encode_topic_info(info)) == info
     log = control.decode_log(data)
