@@ -11,7 +11,7 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.events import TopicsRequested
 from hostlink.core.protocol.rosserial import control
-from hostlink.core.protocol.rosserial.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode
+from hostlink.core.protocol.rosserial.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, encode
 from hostlink.core.protocol.rosserial.negotiation import REQUEST_INTERVAL_S
 from hostlink.core.protocol.rosserial.session import Session
 from hostlink.core.protocol.rosserial.stream import FrameStream, Skipped
