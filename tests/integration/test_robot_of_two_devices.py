@@ -276,3 +276,112 @@ def test_reload_that_takes_a_board_away_leaves_the_other_a_robot_by_itself() -> 
         assert made.robot("r").parts
 
     in_hub(test, CONFIG)
+
+
+# -- two boards for one place -----------------------------------------------------------------------------------------
+
+NAMED = Config(robots={"r": RobotConfig(devices=("base", "enc"))})
+BASE = [topic(EndpointKind.SUBSCRIBER, 100, "base/cmd_vel", "geometry_msgs/Twist")]
+ENC = [topic(EndpointKind.PUBLISHER, 125, "enc/odom", "geometry_msgs/Pose2D")]
+RIVAL = "10.0.0.9"
+
+
+def position(made: MemoryHub) -> float:
+    pose = made.robot("r").state(made.now_s).odometry
+    assert pose is not None
+    assert pose.pose is not None
+    return pose.pose.x_m
+
+
+def test_rival_of_a_feedback_board_tells_nothing_and_does_not_replace_it_while_the_robot_is_driven() -> None:
+    async def test(made: MemoryHub) -> None:
+        motors = await made.connect(BASE, address=MOTORS)
+        wheels = await made.connect(ENC, address=WHEELS)
+        await asyncio.sleep(1.0)
+        await wheels.send(125, odometry(1.0))
+        rival = await made.connect(ENC, address=RIVAL)
+        twice = made.logged("robot.device_twice")
+        assert [(each["robot"], each["device"], each["peer"]) for each in twice] == [("r", "enc", RIVAL)]
+        drive(made)
+        await rival.send(125, odometry(7.0))
+        await wheels.send(125, odometry(1.25))
+        await asyncio.sleep(0.1)
+        assert (velocities(motors)[-1], position(made)) == ((0.25, 0.0), 1.25)
+        program = made.hub.join("program")
+        await asyncio.sleep(1.0)
+        program.drive(made.robot("r"), SLOW)
+        await wheels.aclose()
+        await rival.send(125, odometry(9.0))
+        await asyncio.sleep(0.2)
+        assert (velocities(motors)[-1], position(made)) == ((0.0, 0.0), 1.25)
+        with pytest.raises(CommandRefused, match="r: its device enc is not connected"):
+            program.drive(made.robot("r"), SLOW)
+        again = await made.connect(ENC, address=WHEELS)  # within three seconds: it has its place again
+        await asyncio.sleep(5.0)
+        await again.send(125, odometry(2.0))
+        await rival.send(125, odometry(9.0))
+        await asyncio.sleep(0.1)
+        assert position(made) == 2.0
+        assert not made.logged("robot.device_replaced")
+
+    in_hub(test, NAMED)
+
+
+def test_rival_takes_the_place_of_a_board_that_left_when_the_robot_has_stopped() -> None:
+    limited = RobotConfig(devices=("base", "enc"), max_linear_deceleration_m_s2=0.05)
+
+    async def test(made: MemoryHub) -> None:
+        motors = await made.connect(BASE, address=MOTORS)
+        wheels = await made.connect(ENC, address=WHEELS)
+        rival = await made.connect(ENC, address=RIVAL)
+        await asyncio.sleep(1.0)
+        drive(made)
+        await asyncio.sleep(0.1)
+        await wheels.aclose()
+        await asyncio.sleep(4.0)
+        assert velocities(motors)[-1][0] > 0.0  # slows down for 5 s
+        assert not made.logged("robot.device_replaced")
+        await asyncio.sleep(2.0)
+        assert velocities(motors)[-1] == (0.0, 0.0)
+        replaced = made.logged("robot.device_replaced")
+        assert [(each["robot"], each["device"], each["peer"]) for each in replaced] == [("r", "enc", RIVAL)]
+        await rival.send(125, odometry(3.0))
+        drive(made)
+        await asyncio.sleep(0.1)
+        assert (velocities(motors)[-1], position(made)) == ((0.25, 0.0), 3.0)
+
+    in_hub(test, Config(robots={"r": limited}))
+
+
+def test_rival_of_the_command_board_is_not_driven_and_locks_and_reloads_leave_it_so() -> None:
+    async def test(made: MemoryHub) -> None:
+        motors = await made.connect(BASE, address=MOTORS)
+        await made.connect(ENC, address=WHEELS)
+        rival = await made.connect(BASE, address=RIVAL)
+        await asyncio.sleep(1.0)
+        publish = publisher_of(made, "/base/cmd_vel")
+        drive(made)
+        await publish_for(publish, 0.3)
+        assert velocities(motors)[-1] == (0.25, 0.0)
+        assert set(velocities(rival)) == {(0.0, 0.0)}
+        assert [each.name for each in made.hub.robots.here()] == ["r"]
+        await asyncio.sleep(1.0)
+        changed = Config(robots={"r": RobotConfig(devices=("base", "enc"), not_commands=("x",))})
+        made.hub.reconfigure(changed, places_of(changed))
+        await asyncio.sleep(1.0)
+        drive(made)
+        await publish_for(publish, 0.3)
+        assert velocities(motors)[-1] == (0.25, 0.0)
+        made.robot("r").lock("test")
+        count = len(velocities(rival))
+        await asyncio.sleep(0.2)
+        assert len(velocities(rival)) > count  # the zeros of the lock
+        await motors.aclose()
+        await asyncio.sleep(5.0)
+        made.robot("r").unlock()
+        await asyncio.sleep(1.0)
+        drive(made)
+        await asyncio.sleep(0.1)
+        assert velocities(rival)[-1] == (0.25, 0.0)
+
+    in_hub(test, NAMED)

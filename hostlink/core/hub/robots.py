@@ -35,7 +35,7 @@ from hostlink.core.robot.command_types import CommandType, TopicType
 from hostlink.core.robot.feedback import Feedback
 from hostlink.core.robot.model import RobotTopicNames
 from hostlink.core.robot.odometry import OdometryEstimator
-from hostlink.core.robot.parts import Parts, parts_of
+from hostlink.core.robot.parts import Membership, Parts, parts_of
 from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.core.robot.velocity_gate import VelocityGate
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -148,6 +148,11 @@ class Robots:
         """Whether a device with a velocity topic may move, or a source here drives a robot of another daemon."""
         is_moving = any(drivable.gate.may_move for drivable in self.drivables())
         return is_moving or any(robot.admission.is_held(now_s) for robot in self.remote.values())
+
+    def may_robot_move(self, name: str) -> bool:
+        """Whether a velocity topic of this robot's devices may move."""
+        members = (each for each in self.devices.values() if each.robot_name == name)
+        return any(drivable.gate.may_move for device in members for drivable in device.drivables)
 
     # -- robots -------------------------------------------------------------------------------------------------------
 
@@ -401,11 +406,13 @@ class Robots:
         commanded.
         """
         robot = self._robots.get(name)
-        members = {
-            device.member.place: device
-            for device in self.devices.values()
-            if device.member is not None and device.member.robot == name and not device.is_undecided
-        }
+        members, waiting = dict[str, Device](), list[Device]()
+        for device in self.devices.values():
+            if device.member is not None and device.member.robot == name and not device.is_undecided:
+                if device.member.is_waiting:
+                    waiting.append(device)
+                else:
+                    members[device.member.place] = device
         config = self.config_of(name) if robot is None else robot.config
         if not config.devices:  # no longer of several
             if robot is not None:
@@ -414,12 +421,18 @@ class Robots:
             return robot
         endpoints = {place: device.endpoints for place, device in members.items()}
         parts = parts_of(name, command_settings(config), endpoints)
+        for device in waiting:
+            device.refused_settings = self._why_waiting(device, members)
+            self._note_missing(name, device.drivables, device.refused_settings)
+        drivables = [each for device in members.values() for each in device.drivables]
         if robot is None:
-            self._note_missing(name, [each for device in members.values() for each in device.drivables], parts.why_not)
+            self._note_missing(name, drivables, parts.why_not)
             return None
-        self._note_parts(robot, tuple(each for each in members.values() if each is not robot.connection), None)
+        self._note_parts(
+            robot, tuple(each for each in (*members.values(), *waiting) if each is not robot.connection), None
+        )
         before = robot.admission.missing
-        self._note_missing(name, robot.beside, parts.why_not)
+        self._note_missing(name, dict.fromkeys((robot, *drivables)), parts.why_not)
         if parts.why_not and parts.why_not != before:
             log.warning("robot.incomplete", robot=name, reason=parts.why_not)
             for device in robot.devices:
@@ -433,6 +446,17 @@ class Robots:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
                     self._gates.lock([drivable], reason, by=robot.admission.locked_by)
         return robot
+
+    def _why_waiting(self, device: Device, members: Mapping[str, Device]) -> str:
+        """Return why a device waits for its place in a robot of several devices."""
+        robot, place, _ = device.member or Membership("", "")
+        holder = members.get(place)
+        if holder is None:
+            return f"its device {place} has left, and another one that fits waits until the robot has stopped"
+        return (
+            f"its device {place} is {holder.link.peer}, so that {device.link.peer} is not driven; tell them apart "
+            f"by addresses with ports in devices of [robots.{robot}]"
+        )
 
     def _note_parts(
         self, robot: LocalRobot, parts: tuple[Device, ...], links: dict[tuple[str, str], Link] | None

@@ -9,10 +9,14 @@ from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, nam
 
 
 class Membership(NamedTuple):
-    """A device that is a part of a robot: the robot's name, and the entry of its `devices` that means the device."""
+    """A device that is a part of a robot: the robot's name, and the entry of its `devices` that means the device.
+
+    `is_waiting`: another device has this place since before, so that this one is not driven and tells nothing.
+    """
 
     robot: str
     place: str
+    is_waiting: bool = False
 
 
 @dataclass(frozen=True, slots=True)
