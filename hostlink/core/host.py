@@ -144,7 +144,7 @@ class Host:
             robots: list[AnyRobot] = self._hub.robots.all()
             endpoints = self._hub.robots.stop_all(by=by)
         else:
-            robots = [self._hub.robots.find(robot)]
+            robots = [self._hub.robots.find_to_stop(robot)]
             robots[0].stop(by=by)
             endpoints = robots[0].unguarded_endpoints
         endpoints = [*endpoints, *await self._hub.gates.settled()]
@@ -162,7 +162,7 @@ class Host:
         if robot is None:
             endpoints = self._hub.robots.lock_all(reason, by=by)
         else:
-            found = self._hub.robots.find(robot)
+            found = self._hub.robots.find_to_stop(robot)
             found.lock(reason, by=by)
             endpoints = found.unguarded_endpoints
         return _unreached([*endpoints, *await self._hub.gates.settled()])

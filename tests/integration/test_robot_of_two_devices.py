@@ -12,7 +12,7 @@ from hostlink.core.hub.hub import places_of
 from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.robot.velocity import PlanarVelocity
-from hostlink.errors import CommandRefused
+from hostlink.errors import CommandRefused, UnknownTopic
 from tests.support.fake_device import topic
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.scripted_device import ScriptedDevice
@@ -385,3 +385,90 @@ def test_rival_of_the_command_board_is_not_driven_and_locks_and_reloads_leave_it
         assert velocities(rival)[-1] == (0.25, 0.0)
 
     in_hub(test, NAMED)
+
+
+# -- a stop and a lock before all boards have connected ---------------------------------------------------------------
+
+ARM_COMMANDS = [
+    topic(EndpointKind.SUBSCRIBER, 101, "arm/cmd_vel", "geometry_msgs/Twist"),
+    topic(EndpointKind.SUBSCRIBER, 102, "left_motor", "std_msgs/Int16"),
+]
+
+
+def test_stop_of_a_robot_of_the_settings_reaches_the_board_that_is_connected_and_names_the_other() -> None:
+    async def test(made: MemoryHub) -> None:
+        arm = await made.connect(ARM_COMMANDS, address=WHEELS)
+        await asyncio.sleep(1.0)
+        arm.heard.clear()
+        robot = made.hub.robots.find_to_stop("r")
+        robot.stop()
+        await asyncio.sleep(0.1)
+        assert velocities(arm, 101)[-1] == (0.0, 0.0)
+        assert arm.payloads(102) == [bytes(2)]
+        assert robot.why_unknown() == f"its device {MOTORS} is not connected"
+        assert robot.state(made.now_s).link is None
+
+    in_hub(test, CHOSEN)
+
+
+@pytest.mark.parametrize("is_part_connected", [False, True])
+def test_lock_of_a_robot_of_the_settings_holds_for_boards_that_connect_later(*, is_part_connected: bool) -> None:
+    async def test(made: MemoryHub) -> None:
+        if is_part_connected:
+            arm = await made.connect(ARM_COMMANDS, address=WHEELS)
+            await asyncio.sleep(1.0)
+        made.hub.robots.find_to_stop("r").lock("test")
+        if not is_part_connected:
+            arm = await made.connect(ARM_COMMANDS, address=WHEELS)
+        motors = await made.connect(COMMAND, address=MOTORS)
+        await asyncio.sleep(1.0)
+        publish = publisher_of(made, "/arm/cmd_vel")
+        await publish_for(publish, 0.3)
+        with pytest.raises(CommandRefused, match="locked: test"):
+            drive(made)
+        with pytest.raises(CommandRefused, match="locked: test"):
+            made.hub.join("program").publish("/left_motor", struct.pack("<h", 5))
+        await asyncio.sleep(0.1)
+        assert {*velocities(motors), *velocities(arm, 101)} == {(0.0, 0.0)}
+        assert set(arm.payloads(102)) == {bytes(2)}
+        made.robot("r").unlock()
+        await asyncio.sleep(1.0)
+        drive(made)
+        await publish_for(publish, 0.3)
+        assert (velocities(motors)[-1], velocities(arm, 101)[-1]) == ((0.25, 0.0), (0.2, 0.0))
+
+    in_hub(test, CHOSEN)
+
+
+def test_stream_to_a_robot_of_the_settings_goes_on_through_its_stop_and_first_connection_and_moves_nothing() -> None:
+    alone = Config(robots={"r": RobotConfig(address=MOTORS)})
+
+    async def test(made: MemoryHub) -> None:
+        program = made.hub.join("program")
+        robot = made.hub.robots.find_to_stop("r")
+        motors = None
+        for count in range(20):
+            with contextlib.suppress(CommandRefused):
+                program.drive(robot, SLOW)
+            await asyncio.sleep(0.1)
+            if count == 5:
+                motors = await made.connect(COMMAND, address=MOTORS)
+        assert motors is not None
+        assert made.hub.robots.find("r") is robot
+        assert set(velocities(motors)) == {(0.0, 0.0)}
+        await asyncio.sleep(1.0)
+        program.drive(robot, SLOW)
+        await asyncio.sleep(0.1)
+        assert velocities(motors)[-1] == (0.25, 0.0)
+        assert robot.state(made.now_s).velocity_topic == "/r/cmd_vel"
+
+    in_hub(test, alone)
+
+
+def test_stop_of_a_name_that_the_settings_lack_is_refused() -> None:
+    async def test(made: MemoryHub) -> None:
+        with pytest.raises(UnknownTopic):
+            made.hub.robots.find_to_stop("s")
+        assert not made.hub.robots.here()
+
+    in_hub(test, CHOSEN)

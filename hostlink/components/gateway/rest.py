@@ -384,7 +384,7 @@ class Rest:
                 request=LockRequest,
                 max_body_bytes=LOCK_BYTES,
                 is_body_optional=True,
-                on_head=lambda request: self._find(request).lock(by=_caller(request)),
+                on_head=lambda request: self._find_to_stop(request).lock(by=_caller(request)),
                 is_limited=False,
                 fails=(UNAVAILABLE,),
             ),
@@ -425,6 +425,10 @@ class Rest:
             UnknownTopic: no robot has this name.
         """
         return self._hub.robots.find(request.match_info["name"])
+
+    def _find_to_stop(self, request: web.Request) -> AnyRobot:
+        """Return the robot that the path names, also one of the settings that was not connected yet. As `_find`."""
+        return self._hub.robots.find_to_stop(request.match_info["name"])
 
     def _find_to_drive(self, request: web.Request) -> AnyRobot:
         """Return the robot that the path names, for a request that drives it. Raises as `_find`."""
@@ -474,7 +478,7 @@ class Rest:
 
         Answers with the measured result after wait_s seconds at most (1.5).
         """
-        robot, since_s = self._find(request), loop_time_s()
+        robot, since_s = self._find_to_stop(request), loop_time_s()
         robot.stop(by=_caller(request))
         endpoints = [*await self._hub.gates.settled(), *robot.unguarded_endpoints]
         return await self._measured(request, since_s, robot, endpoints=endpoints)
@@ -540,7 +544,7 @@ class Rest:
 
     async def _lock(self, request: web.Request) -> web.Response:
         """Emergency stop: zero velocity at once, commands are refused until unlock. Answers as stop does."""
-        robot, since_s = self._find(request), loop_time_s()
+        robot, since_s = self._find_to_stop(request), loop_time_s()
         try:  # an invalid reason locks the robot too
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; the robot is locked')
         except BadRequest:

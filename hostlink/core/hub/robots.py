@@ -22,6 +22,7 @@ from hostlink.core.hub.robot import (
     command_settings,
     commands_of,
     correction_of,
+    drive_in,
     feedback_of,
     frames_of,
     limits_of,
@@ -31,12 +32,12 @@ from hostlink.core.hub.robot import (
 from hostlink.core.hub.robot_events import OTHER_TOPICS, EventKind
 from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import EPOCH_BITS, Admission, EarlierCommands
-from hostlink.core.robot.command_types import CommandType, TopicType
-from hostlink.core.robot.feedback import Feedback
+from hostlink.core.robot.command_types import CommandType, TopicType, TwistCommand
+from hostlink.core.robot.feedback import Feedback, FeedbackSettings
 from hostlink.core.robot.model import RobotTopicNames
 from hostlink.core.robot.odometry import OdometryEstimator
 from hostlink.core.robot.parts import Membership, Parts, parts_of
-from hostlink.core.robot.velocity import ZERO, PlanarVelocity
+from hostlink.core.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from hostlink.core.robot.velocity_gate import VelocityGate
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
@@ -179,6 +180,37 @@ class Robots:
             self._note_early(plain, driver)
             raise UnknownTopic("robot", name, self._robots.keys() | self.remote.keys())
         return robot
+
+    def find_to_stop(self, name: str) -> AnyRobot:
+        """Return the robot of this name, for a stop or a lock; also one of the settings that has never been commanded.
+
+        It is known from then on: what is connected of it is stopped, and a lock holds for what connects later.
+
+        Raises:
+            UnknownTopic: it does not exist, and the settings do not name it.
+        """
+        plain = name.strip("/")
+        if plain in self._configs and self._find(plain) is None:
+            self._expect(plain)
+        return self.find(name)
+
+    def _expect(self, name: str) -> None:
+        """Add a robot of the settings whose topics are not known yet."""
+        config = self.config_of(name)
+        command = TopicType(f"/{name}/cmd_vel", TWIST_TYPE)
+        topics = RobotTopicNames(name, (command,))
+        feedback = Feedback((), FeedbackSettings(), drive_in(config))
+        self._add(self._make(name, topics, topics, TwistCommand(command), feedback))
+        self._hub.note_robot(name)
+        self.regroup(name)
+
+    def _add(self, robot: LocalRobot) -> None:
+        """Add a robot. It is locked if all are."""
+        self._robots[robot.name] = robot
+        self._gates.register(robot.admission)
+        self._join_early(robot)
+        if self.boards.lock_reason is not None:
+            robot.admission.lock(self.boards.lock_reason, loop_time_s(), by=self.boards.locked_by)
 
     def _note_early(self, name: str, driver: Callable[[], Hashable] | None) -> None:
         if driver is not None:
@@ -363,11 +395,8 @@ class Robots:
             self._gates.note_end(robot, OTHER_TOPICS)
         self._gates.detach(device)
         if robot is None:
-            robot = self._robots[name] = self._make(name, topics, shown, commands, feedback)
-            self._gates.register(robot.admission)
-            self._join_early(robot)
-            if self.boards.lock_reason is not None:
-                robot.admission.lock(self.boards.lock_reason, loop_time_s(), by=self.boards.locked_by)
+            robot = self._make(name, topics, shown, commands, feedback)
+            self._add(robot)
         before = self.device(robot.link)
         if before is not None:
             before.robot = None
