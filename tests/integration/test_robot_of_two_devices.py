@@ -278,6 +278,55 @@ def test_reload_that_takes_a_board_away_leaves_the_other_a_robot_by_itself() -> 
     in_hub(test, CONFIG)
 
 
+@pytest.mark.parametrize("is_command_away", [False, True])
+def test_topic_that_nothing_guards_is_refused_while_a_board_is_missing_and_its_zero_is_not(
+    *, is_command_away: bool
+) -> None:
+    number = struct.pack("<h", 77)
+    infos = [
+        topic(EndpointKind.SUBSCRIBER, 102, "left_motor", "std_msgs/Int16"),
+        topic(EndpointKind.SUBSCRIBER, 103, "motor_word", "std_msgs/String"),
+        topic(EndpointKind.SUBSCRIBER, 104, "gripper_speed", "std_msgs/Int16"),
+    ]
+
+    async def test(made: MemoryHub) -> None:
+        program = made.hub.join("program")
+
+        async def refused(name: str, payload: bytes) -> str:
+            reason = ""
+            try:
+                program.publish(name, payload)
+            except CommandRefused as error:
+                reason = f"{error.kind}: {error}"
+            await asyncio.sleep(0.1)
+            return reason
+
+        motors, wheels = await connected(made)
+        arm = await made.connect(infos, address=ARM)
+        await asyncio.sleep(1.0)
+        assert await refused("/left_motor", number) == ""
+        away = MOTORS if is_command_away else WHEELS
+        await (motors if is_command_away else wheels).aclose()
+        await asyncio.sleep(0.1)
+        why = f"not_connected: /left_motor: robot r: its device {away} is not connected"
+        assert [await refused("/left_motor", number) for _ in range(3)] == [why] * 3
+        assert await refused("/left_motor", bytes(2)) == ""
+        assert set(arm.payloads(102)[1:]) == {bytes(2)}
+        # Nothing stops these but their own source.
+        assert await refused("/motor_word", struct.pack("<I4s", 4, b"stop")) == ""
+        assert await refused("/gripper_speed", number) == ""
+        await arm.aclose()
+        arm = await made.connect(infos, address=ARM)
+        assert arm.payloads(102) == [bytes(2)]  # it may still obey an old message
+        assert await refused("/left_motor", number) == why
+        await made.connect(COMMAND if is_command_away else POSE, address=away)
+        assert await refused("/left_motor", number) == ""
+        assert arm.payloads(102)[-1] == number
+
+    robot = RobotConfig(devices=(MOTORS, WHEELS, ARM), locked_topics=("gripper_speed",))
+    in_hub(test, Config(robots={"r": robot}))
+
+
 # -- two boards for one place -----------------------------------------------------------------------------------------
 
 NAMED = Config(robots={"r": RobotConfig(devices=("base", "enc"))})

@@ -453,6 +453,9 @@ class Robots:
         for device in waiting:
             device.refused_settings = self._why_waiting(device, members)
             self._note_missing(name, device.drivables, device.refused_settings)
+            device.note_missing(device.refused_settings)
+        for device in members.values():
+            device.note_missing(parts.why_not)
         drivables = [each for device in members.values() for each in device.drivables]
         if robot is None:
             self._note_missing(name, drivables, parts.why_not)
@@ -464,8 +467,6 @@ class Robots:
         self._note_missing(name, dict.fromkeys((robot, *drivables)), parts.why_not)
         if parts.why_not and parts.why_not != before:
             log.warning("robot.incomplete", robot=name, reason=parts.why_not)
-            for device in robot.devices:
-                device.stop_unguarded()
         elif before and not parts.why_not:
             log.info("robot.complete", robot=name)
         self._read_parts(robot, parts, members)
