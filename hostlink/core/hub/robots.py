@@ -287,6 +287,11 @@ class Robots:
                 raise  # else it is a board's, which is named below
         return self.endpoints()
 
+    def refusal(self, robot: AnyRobot) -> str:
+        """Return why a connected robot here refused its last velocity, as that of a stop; empty: it did not."""
+        is_here = isinstance(robot, LocalRobot) and robot.link is not None
+        return (robot.refusals.cause or "") if is_here else ""
+
     def lock_all(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
         """Lock every robot and every board, including those of other daemons, also boards that connect later.
 
