@@ -7,7 +7,9 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from hostlink.core.config import Config, RobotConfig
+from hostlink.cli.explain import explanation
+from hostlink.components.gateway.devices import devices_view
+from hostlink.core.config import Config, RobotConfig, WheelsConfig
 from hostlink.core.hub.hub import places_of
 from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
@@ -521,3 +523,31 @@ def test_stop_of_a_name_that_the_settings_lack_is_refused() -> None:
         assert not made.hub.robots.here()
 
     in_hub(test, CHOSEN)
+
+
+def test_robot_whose_wheels_are_on_two_boards_says_so_of_both() -> None:
+    wheels = WheelsConfig(topics=("left_motor", "right_motor"), unit="m_s")
+    robot = RobotConfig(devices=(MOTORS, WHEELS), wheels=wheels, wheel_separation_m=0.2)
+
+    async def test(made: MemoryHub) -> None:
+        for number, (name, address) in enumerate((("left_motor", MOTORS), ("right_motor", WHEELS))):
+            await made.connect(
+                [topic(EndpointKind.SUBSCRIBER, 100 + number, name, "std_msgs/Float32")], address=address
+            )
+        why = (
+            "its command topics must be on one device, and they are on several: "
+            f"left_motor on {MOTORS}, right_motor on {WHEELS}"
+        )
+        views = devices_view(made.hub)["devices"]
+        assert [(each["part_of"], each["refused"]) for each in views] == [("r", why)] * 2
+        assert all("takes its velocities on another device" not in line for line in explanation(views))
+        noted = [each.diagnosis.noted["settings_refused"] for each in made.hub.robots.devices.values()]
+        assert noted == [why] * 2
+        robot = made.hub.robots.find_to_stop("r")
+        robot.lock("test")
+        assert robot.why_unknown() == why
+        robot.unlock()
+        with pytest.raises(CommandRefused, match="its command topics must be on one device"):
+            drive(made)
+
+    in_hub(test, Config(robots={"r": robot}))

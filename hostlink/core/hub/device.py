@@ -134,7 +134,8 @@ class Device:
     __slots__ = (
         "_awaited", "_hub", "_lockable", "_observers", "_odometry", "_reader", "_zeros", "diagnosis", "drivables",
         "early", "infos", "is_undecided", "link", "lost", "member", "missing", "names", "parameters", "presence",
-        "refused_settings", "robot", "routes", "services", "settings", "shown", "stop_frames", "suggested", "unguarded",
+        "refused_settings", "robot", "routes", "services", "settings", "shown", "stop_frames", "suggested", "unfit",
+        "unguarded",
     )  # fmt: skip
 
     def __init__(self, link: Link, diagnosis: Diagnosis, presence: Presence, hub: "Hub") -> None:
@@ -149,6 +150,7 @@ class Device:
         self.member: Membership | None = None  # of a robot of several devices
         self.missing = ""  # why the robot of several devices of which it is one cannot be driven; empty: it can be
         self.refused_settings = ""  # why they do not fit the device
+        self.unfit = ""  # why they do not fit the devices of its robot together
         self.unguarded: tuple[DeviceEndpoint, ...] = ()  # look like commands of a motion, and have no gate
         self.suggested: Suggestion | None = None  # settings that make a robot of it; None: none do, or it is one
         self._lockable: frozenset[str] = frozenset()  # own names of topics without a gate that a lock refuses
@@ -281,6 +283,11 @@ class Device:
                 self._hub.gates.attach(drivable, self, lost=info)
 
     # -- endpoints without a gate -------------------------------------------------------------------------------------
+
+    @property
+    def refused(self) -> str:
+        """Why its settings do not fit; empty if they do."""
+        return self.refused_settings or self.unfit
 
     @property
     def endpoints(self) -> list[Endpoint]:
@@ -425,7 +432,7 @@ class Device:
         """Remove everything of this device from the graph."""
         self._end_odometry()
         self._reader = None
-        self.missing = ""
+        self.missing = self.unfit = ""
         self.routes.clear()
         self._observers.clear()
         self.names = frozenset()

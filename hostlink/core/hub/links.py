@@ -360,7 +360,9 @@ class Links:
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         self.on_named()
-        self._log_unguarded(device)
+        for each in list(self._devices.values()):
+            if each is device or (each.member is not None and each.member.robot in joined):
+                self._log_unguarded(each)
         for message, read in device.early.pop_all():
             device.receive(message, read)
 
@@ -415,8 +417,8 @@ class Links:
     def _log_unguarded(self, device: Device) -> None:
         """Note for the diagnosis what nothing guards, and which settings do not fit. Log what is new."""
         noted, before = dict[str, str](), device.diagnosis.noted
-        if device.refused_settings:
-            noted["settings_refused"] = device.refused_settings
+        if device.refused:
+            noted["settings_refused"] = device.refused
         if device.unguarded:
             topics = ", ".join(f"{device.shown.of(info.name)} ({info.type})" for info in device.unguarded)
             noted[UNGUARDED] = f"{topics}\n{device.suggestion}"

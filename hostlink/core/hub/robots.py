@@ -289,8 +289,7 @@ class Robots:
 
     def refusal(self, robot: AnyRobot) -> str:
         """Return why a connected robot here refused its last velocity, as that of a stop; empty: it did not."""
-        is_here = isinstance(robot, LocalRobot) and robot.link is not None
-        return (robot.refusals.cause or "") if is_here else ""
+        return robot.refusals.cause or "" if isinstance(robot, LocalRobot) and robot.link is not None else ""
 
     def lock_all(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
         """Lock every robot and every board, including those of other daemons, also boards that connect later.
@@ -456,10 +455,12 @@ class Robots:
         endpoints = {place: device.endpoints for place, device in members.items()}
         parts = parts_of(name, command_settings(config), endpoints)
         for device in waiting:
-            device.refused_settings = self._why_waiting(device, members)
-            self._note_missing(name, device.drivables, device.refused_settings)
-            device.note_missing(device.refused_settings)
+            device.unfit = self._why_waiting(device, members)
+            self._note_missing(name, device.drivables, device.unfit)
+            device.note_missing(device.unfit)
+        is_unfit = parts.command is None and len(members) == len(config.devices)
         for device in members.values():
+            device.unfit = parts.why_not if is_unfit and device.robot is None else ""
             device.note_missing(parts.why_not)
         drivables = [each for device in members.values() for each in device.drivables]
         if robot is None:
