@@ -552,7 +552,7 @@ class Device:
             config = self._hub.robots.config_of(self.member.robot)
             limits = limits_of(config, (topic,))
             shown = self.shown.of(info.name)
-            admission = Admission(shown, drive=limits.drive)
+            admission = Admission(shown, drive=limits.drive, unlocked_by=self.member.robot)
             if self.lock.lock_reason is not None:
                 admission.lock(self.lock.lock_reason, loop_time_s(), by=self.lock.locked_by)
             gate = VelocityGate(admission, limits, ZERO)
