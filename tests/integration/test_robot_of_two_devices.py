@@ -161,7 +161,7 @@ def test_stop_and_lock_cover_the_command_of_the_feedback_board() -> None:
         await asyncio.sleep(1.0)
         made.robot("r").lock("test")
         assert await moved() == (0.0, 0.0)
-        with pytest.raises(CommandRefused, match="/other/cmd_vel: locked: test; to drive it again: hostlink unlock r$"):
+        with pytest.raises(CommandRefused, match=r"locked: test; to drive it again: hostlink unlock r$"):
             program.publish("/other/cmd_vel", twist)
         await wheels.aclose()
         wheels = await made.connect(OTHER_COMMAND, address=WHEELS)
