@@ -553,3 +553,19 @@ def test_robot_whose_wheels_are_on_two_boards_says_so_of_both() -> None:
             drive(made)
 
     in_hub(test, Config(robots={"r": robot}))
+
+
+def test_reload_of_another_setting_interrupts_no_robot_whose_boards_are_given_by_names() -> None:
+    async def test(made: MemoryHub) -> None:
+        motors = await made.connect(BASE, address=MOTORS)
+        await made.connect(ENC, address=WHEELS)
+        await asyncio.sleep(1.0)
+        program = made.hub.join("program")
+        program.drive(made.robot("r"), SLOW)
+        slower = Config(robots={"r": RobotConfig(devices=("base", "enc"), max_linear_m_s=0.1)})
+        assert made.hub.reconfigure(slower, places_of(slower)) == {}
+        program.drive(made.robot("r"), SLOW)
+        await asyncio.sleep(0.1)
+        assert velocities(motors)[-1] == (0.1, 0.0)
+
+    in_hub(test, NAMED)

@@ -131,6 +131,7 @@ class Places:
         for name, address in addresses.items():
             if address is not None:
                 self._names[address].append(name)
+        self._of_several = frozenset(devices or {})
         for name, places in (devices or {}).items():
             for place in places:
                 self._names[place].append(name)
@@ -138,6 +139,12 @@ class Places:
     def has(self, name: str) -> bool:
         """Whether this robot has a place."""
         return name in self._with_place
+
+    def keeps(self, name: str, member: Membership | None, *, is_connected: bool) -> bool:
+        """Whether a robot of several devices has its name by its part `member`, or by one that will connect."""
+        if not is_connected:
+            return name in self._of_several
+        return member is not None and member.robot == name and name in self._names.get(member.place, ())
 
     def is_configured(self, name: str) -> bool:
         """Whether the configuration names this robot, with or without a place."""
@@ -569,7 +576,13 @@ class Directory:
 
     def misplaced(self, places: Places) -> dict[str, int | None]:
         """The names that these places would change, and the link of each; None: its device is away."""
-        return {name: self._names.links.get(name) for name in self._names.misplaced(places)}
+        links = {name: self._names.links.get(name) for name in self._names.misplaced(places)}
+        members = {name: None if link is None else self._entries[link].member for name, link in links.items()}
+        return {
+            name: link
+            for name, link in links.items()
+            if not places.keeps(name, members[name], is_connected=link is not None)
+        }
 
     def reconfigure(self, places: Places, settings: Mapping[str, CommandSettings]) -> dict[str, int | None]:
         """Name by these places and settings from now on; each device whose name they change must claim again.

@@ -730,7 +730,7 @@ def part(ours: Clocked, link: int, address: str, topics: list[Endpoint]) -> tupl
     assert isinstance(claim, Accepted)
     assert claim.replaces is None
     if claim.member is not None:
-        assert claim.member.place in (address, "arm")
+        assert claim.member.place in (address, "arm", "base")
         assert claim.robot is None or (claim.is_certain and not claim.is_numbered)
     return None if claim.robot is None else claim.robot.name, None if claim.member is None else claim.member.robot
 
@@ -855,3 +855,14 @@ def test_device_that_reconnects_while_it_waits_for_a_place_waits_on() -> None:
     assert (claim.replaces, claim.member) == (2, Membership("r", "enc", is_waiting=True))
     ours.directory.offer(3)
     assert memberships(ours, {3: AWAY}, ENCODERS) == {3: False}
+
+
+def test_new_places_that_name_the_same_parts_leave_the_name_of_a_robot_of_several_devices() -> None:
+    ours = of_two(NAMED)
+    same, others = Places({"r": None}, {"r": NAMED.devices}), Places({"r": None}, {"r": ("arm", "enc")})
+    assert part(ours, 1, HOME, BASE) == ("r", "r")
+    assert (ours.directory.misplaced(same), ours.directory.misplaced(others)) == ({}, {"r": 1})
+    assert ours.directory.misplaced(Places({})) == {}
+    ours.leave(1)
+    assert ours.directory.misplaced(others) == {}  # a part that connects will have it
+    assert ours.directory.misplaced(Places({"r": AWAY})) == {"r": None}
