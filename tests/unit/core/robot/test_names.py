@@ -844,6 +844,18 @@ def test_first_device_has_its_place_in_a_robot_until_it_leaves_and_another_is_of
     assert memberships(ours, {2: AWAY, 3: HOME}, topics) == {2: False, 3: True}
 
 
+def test_device_that_reconnects_while_its_old_link_seems_alive_keeps_its_place() -> None:
+    ours = of_two(NAMED)
+    assert memberships(ours, {1: HOME, 2: AWAY}, ENCODERS) == {1: False, 2: True}
+    ours.talk(1, 2)
+    claim = ours.claim(3, HOME, ENCODERS)
+    while isinstance(claim, Undecided):
+        ours.talk(2, 3)
+        claim = ours.claim(3, HOME, ENCODERS)
+    assert (claim.replaces, claim.member) == (1, Membership("r", "enc"))
+    assert memberships(ours, {2: AWAY}, ENCODERS) == {2: True}
+
+
 def test_device_that_reconnects_while_it_waits_for_a_place_waits_on() -> None:
     ours = of_two(NAMED)
     assert memberships(ours, {1: HOME, 2: AWAY}, ENCODERS) == {1: False, 2: True}
