@@ -4,10 +4,10 @@ import itertools
 import os
 import shlex
 import sys
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Final, Self, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 Kept = TypeVar("Kept", bound=BaseException)
 
@@ -220,11 +220,17 @@ class CommandRefused(HostlinkError):
 
 
 class Refused(HostlinkError):
-    """The daemon has refused a request of the client. `kind` is the daemon's."""
+    """The daemon has refused a request of the client. `kind` is the daemon's, and `answer` all that it said by REST."""
 
-    def __init__(self, kind: str, reason: str) -> None:
+    def __init__(self, kind: str, reason: str, answer: Mapping[str, Any] | None = None) -> None:
         super().__init__(reason)
-        self.kind, self.reason = kind, reason
+        self.kind, self.reason, self.answer = kind, reason, answer or {}
+
+
+class StopFailed(Refused):
+    """A stop or a lock of all did not reach every robot. `stopped`: what became of each, as the call returns it."""
+
+    stopped: Any = None
 
 
 class NothingArrived(HostlinkError):

@@ -1,6 +1,7 @@
 """The commands for robots: robots, stop, lock, unlock."""
 
 import asyncio
+import contextlib
 import functools
 import json as json_text
 from collections.abc import Awaitable, Callable
@@ -26,7 +27,16 @@ from hostlink.client import (
     StoppedRobot,
 )
 from hostlink.core.robot.standstill import sentence
-from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
+from hostlink.errors import (
+    CommandRefused,
+    ConfigError,
+    DeviceGone,
+    HostlinkError,
+    RefusalKind,
+    Refused,
+    StopFailed,
+    UnknownTopic,
+)
 
 # -- choice of robots -------------------------------------------------------------------------------------------------
 
@@ -157,8 +167,21 @@ async def _stop(host: Host, names: list[str], *, is_measured: bool = True, json:
             host, names, Robot.stop, is_measured=is_measured, json=json, of_all="`hostlink stop` stops every robot"
         )
     else:
-        stopped = await (host.stop_all() if is_measured else host.stop_all(wait_s=0.0))
-        await _report(host, stopped, is_measured=is_measured, json=json)
+        halting = host.stop_all() if is_measured else host.stop_all(wait_s=0.0)
+        await _report_all(host, halting, is_measured=is_measured, json=json)
+
+
+async def _report_all(
+    host: Host, halting: Awaitable[Stopped], *, done: str = "", is_measured: bool = True, json: bool
+) -> None:
+    """Report a stop or a lock of all, also of one that failed for some; as `_report`."""
+    try:
+        stopped = await halting
+    except StopFailed as failure:
+        with contextlib.suppress(typer.Exit):
+            await _report(host, failure.stopped, done=done, is_measured=is_measured, json=json)
+        raise
+    await _report(host, stopped, done=done, is_measured=is_measured, json=json)
 
 
 async def _halt(
@@ -179,7 +202,7 @@ async def _halt(
         HostlinkError: no robot has one of the names, or a robot cannot be stopped.
         typer.Exit: not every robot is known to be stopped.
     """
-    known = [robot["name"] for robot in await chosen(host)]
+    known = [robot["name"] for robot in await host.robots()]
     wanted = known if mean_all(names, known) else [name.strip("/") for name in names] or known
     # No stop waits for the measurement of another robot.
     no_wait = {"wait_s": 0.0} if len(wanted) > 1 or not is_measured else {}
@@ -189,9 +212,12 @@ async def _halt(
         try:
             if not name:  # refused here, because the other names count
                 raise ConfigError("ROBOTS", "a name is empty; give one, or leave the argument out for all robots")
-            if name not in known:
-                raise unknown_robot(name, known, also=of_all)
-            stopped[name] = await command(host.robot(name), **no_wait)
+            stopped[name] = await command(
+                host.robot(name), **no_wait
+            )  # the settings may have a robot that is not known
+        except Refused as error:
+            is_unknown = name not in known and error.kind == UnknownTopic.kind
+            failed[name] = unknown_robot(name, known, also=of_all) if is_unknown else error
         except HostlinkError as error:
             failed[name] = error
 
@@ -247,15 +273,16 @@ async def _report(host: Host, measured: Stopped, *, done: str = "", is_measured:
 
 
 def _is_covered(robot: RobotState) -> bool:
-    return robot.get("unreachable") is None
+    """Whether all of a robot was sent a zero."""
+    return robot["connected"] and robot.get("unreachable") is None
 
 
 def sent_sentence(robot: RobotState) -> str:
     """Return what a stop without a measurement has done, as a sentence."""
     name, cause = robot["name"], robot.get("unreachable")
-    if cause is not None:
-        return f"{name}: its device cannot receive the stop: {cause}"
-    return f"{name}: zero sent" if robot["connected"] else f"{name}: its device is not connected"
+    if not robot["connected"]:
+        return f"{name}: not sent a zero: its device is not connected"
+    return f"{name}: zero sent" if cause is None else f"{name}: zero sent as far as possible: {cause}"
 
 
 def endpoint_sentence(endpoint: CommandEndpoint, *, done: str = "") -> str:
@@ -286,7 +313,7 @@ def lock(
     """Emergency stop of robots, or of all of them: zero at once, and no command until `hostlink unlock`.
 
     A lock of all also locks boards that are not robots, and what connects later. Exit status 0: all are locked and were
-    sent a zero; 1: something was not, and is named, or a robot still moves.
+    sent a zero; 1: something was not, for example because it is not connected, and is named, or a robot still moves.
     """
     names = [] if everything else robots or []
     ask(url, token, lambda host: _lock(host, names, reason, json=json))
@@ -298,7 +325,7 @@ async def _lock(host: Host, names: list[str], reason: str, *, json: bool) -> Non
         command = functools.partial(Robot.lock, reason=reason)
         await _halt(host, names, command, done=done, json=json, of_all="`hostlink lock` locks every robot")
     else:
-        await _report(host, await host.lock_all(reason), done=done, json=json)
+        await _report_all(host, host.lock_all(reason), done=done, json=json)
 
 
 # -- unlock -----------------------------------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ from hostlink.client.views import (
     Twist,
 )
 from hostlink.core.robot.standstill import Standstill, StandstillState
-from hostlink.errors import CommandRefused, HostlinkError, NothingArrived, Refused
+from hostlink.errors import CommandRefused, HostlinkError, NothingArrived, Refused, StopFailed
 
 __all__ = [
     "DEFAULT_URL",
@@ -70,6 +70,7 @@ __all__ = [
     "RobotState",
     "Standstill",
     "StandstillState",
+    "StopFailed",
     "Stopped",
     "StoppedRobot",
     "Stream",

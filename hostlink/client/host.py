@@ -30,7 +30,7 @@ from hostlink.client.type_names import TypeName, type_name_of
 from hostlink.client.views import ConnectionChange, Event, RobotState, Stopped, TopicState
 from hostlink.core.robot.standstill import Standstill
 from hostlink.core.runtime.cancellation import raise_if_cancelled
-from hostlink.errors import BadRequest, HostlinkError, Refused
+from hostlink.errors import BadRequest, HostlinkError, Refused, StopFailed
 
 # -- host -------------------------------------------------------------------------------------------------------------
 
@@ -134,15 +134,16 @@ class Host:
         zero.
 
         Raises:
-            HostlinkError: hostlink was not reached, or another daemon of the fleet has not answered.
+            StopFailed: a robot could not be sent a zero, or another daemon of the fleet has not answered; its `stopped`
+                says what became of each robot.
+            HostlinkError: hostlink was not reached.
         """
         driven = self._driver.stop_repeating_all()
         try:
-            answer = await self._http.request("POST", "/api/stop?wait_s=0")
+            return await self._halt_all("/api/stop", None, wait_s)
         finally:
             for name in driven:
                 await self._driver.send_zero(name, PRIORITY)
-        return Stopped(await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer), endpoints(answer))
 
     async def lock_all(self, reason: str, *, wait_s: float = WAIT_S) -> Stopped:
         """The emergency stop of every robot and of boards that are not robots, also of those that connect later.
@@ -150,11 +151,26 @@ class Host:
         Returns what was measured since, as `stop_all` does. `unlock_all` ends it.
 
         Raises:
-            HostlinkError: hostlink was not reached, or another daemon of the fleet has not answered.
+            StopFailed: as for `stop_all`. All that is reached is locked.
+            HostlinkError: hostlink was not reached.
         """
         self._driver.stop_repeating_all()
-        answer = await self._http.request("POST", "/api/lock?wait_s=0", {"reason": reason})
-        return Stopped(await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer), endpoints(answer))
+        return await self._halt_all("/api/lock", {"reason": reason}, wait_s)
+
+    async def _halt_all(self, path: str, body: Mapping[str, Any] | None, wait_s: float) -> Stopped:
+        failure: StopFailed | None = None
+        try:
+            answer: Mapping[str, Any] = await self._http.request("POST", f"{path}?wait_s=0", body)
+        except Refused as refused:
+            if "robots" not in refused.answer:
+                raise
+            answer, failure = refused.answer, StopFailed(refused.kind, refused.reason, refused.answer)
+        measured = await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer)
+        stopped = Stopped(measured, endpoints(answer))
+        if failure is None:
+            return stopped
+        failure.stopped = stopped
+        raise failure
 
     async def unlock_all(self) -> list[RobotState]:
         """Let every robot and board be driven again; nothing that was held before drives them.

@@ -228,7 +228,7 @@ class HttpClient:
         if "error" in answer:
             told = answer["error"]
             kind, reason = (told.get("kind"), told.get("reason")) if isinstance(told, dict) else ("", told)
-            raise Refused(str(kind), self._reason(str(kind), reason, status))
+            raise Refused(str(kind), self._reason(str(kind), reason, status), answer)
         return answer
 
     def _reason(self, kind: str, reason: Any, status: int) -> str:

@@ -4,6 +4,7 @@ A component offers the robots to something outside: a broker, a cloud, a display
 `hostlink.errors`. Methods are synchronous and belong to the event loop, unless they are declared with `async`.
 """
 
+import contextlib
 import time
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Mapping
@@ -34,6 +35,7 @@ from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.state import RobotState
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.loop_time import loop_time_s
+from hostlink.errors import HostlinkError
 
 __all__ = [
     "API_VERSION", "Component", "EventKind", "Graph", "GraphService", "GraphTopic", "Host", "Listening", "Message",
@@ -53,7 +55,7 @@ class Stopped(NamedTuple):
     """Result of a stop: what the odometry of each robot said, by its name, and what could not be sent a zero."""
 
     robots: dict[str, Standstill]
-    unreached: tuple[str, ...]  # "topic: reason", of boards and topics without a robot
+    unreached: tuple[str, ...]  # "topic: reason" of boards and topics without a robot; of all also "robot: reason"
 
 
 class Component(Generic[Settings]):
@@ -155,19 +157,27 @@ class Host:
         Raises:
             UnknownTopic: there is no robot of this name.
             DeviceGone: another daemon of the fleet did not answer, or its robot's device is not connected.
-            FrameTooLarge, WrongType: the zero does not fit a device.
+            FrameTooLarge, WrongType: the zero does not fit the device of the robot that is named.
         """
         since_s = loop_time_s()
         if robot is None:
             robots: list[AnyRobot] = self._hub.robots.all()
-            endpoints = self._hub.robots.stop_all(by=by)
+            with contextlib.suppress(HostlinkError):  # of a robot that is named in the result
+                self._hub.robots.stop_all(by=by)
+            endpoints = self._hub.robots.endpoints()
         else:
-            robots = [self._hub.robots.find(robot)]
+            robots = [self._hub.robots.find_to_stop(robot)]
             robots[0].stop(by=by)
             endpoints = robots[0].unguarded_endpoints
         endpoints = [*endpoints, *await self._hub.gates.settled()]
         measured = await self._hub.standstills.measure(robots, since_s, wait_s=wait_s)
-        return Stopped({each.name: found for each, found in zip(robots, measured, strict=True)}, _unreached(endpoints))
+        unreached = (*self._refusing(robots), *_unreached(endpoints))
+        return Stopped({each.name: found for each, found in zip(robots, measured, strict=True)}, unreached)
+
+    def _refusing(self, robots: Iterable[AnyRobot]) -> tuple[str, ...]:
+        """Return "robot: reason" of each robot here whose device refused the last velocity."""
+        here = [(each.name, self._hub.robots.refusal(each)) for each in robots]
+        return tuple(f"{name}: {reason}" for name, reason in here if reason)
 
     async def lock(self, robot: str | None = None, *, reason: str, by: str) -> tuple[str, ...]:
         """Stop a robot at once and refuse commands until `unlock`; None: every robot and board, also later ones.
@@ -178,12 +188,15 @@ class Host:
             UnknownTopic, DeviceGone, FrameTooLarge, WrongType: as for `stop`. What is reached is locked.
         """
         if robot is None:
-            endpoints = self._hub.robots.lock_all(reason, by=by)
+            with contextlib.suppress(HostlinkError):  # of a robot that is named in the result
+                self._hub.robots.lock_all(reason, by=by)
+            endpoints, refusing = self._hub.robots.endpoints(), self._refusing(self._hub.robots.all())
         else:
-            found = self._hub.robots.find(robot)
+            refusing = ()
+            found = self._hub.robots.find_to_stop(robot)
             found.lock(reason, by=by)
             endpoints = found.unguarded_endpoints
-        return _unreached([*endpoints, *await self._hub.gates.settled()])
+        return (*refusing, *_unreached([*endpoints, *await self._hub.gates.settled()]))
 
     async def unlock(self, robot: str | None = None, *, by: str) -> None:
         """Admit commands again; None: of every robot and board. It moves nothing.

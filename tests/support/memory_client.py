@@ -128,7 +128,7 @@ class MemoryHttp:
         async with asyncio.timeout(timeout_s):
             _, answer = await self._api.call(method, path, b"" if body is None else body)
         if "error" in answer:
-            raise Refused(answer["error"]["kind"], answer["error"]["reason"])
+            raise Refused(answer["error"]["kind"], answer["error"]["reason"], answer)
         return cast(dict[str, Any], answer)
 
     async def measure(self, path: str, wait_s: float) -> Standstill:

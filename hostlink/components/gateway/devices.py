@@ -86,7 +86,7 @@ def device_view(hub: Hub, device: Device) -> DeviceView:
         "is_spatial": device.settings.is_spatial,
         "name_from": name_from,
         "settings": settings,
-        "refused": device.refused_settings,
+        "refused": device.refused,
         "feedback": "none" if robot is None else robot.feedback.kind.value,
         "lacks": "" if robot is None else robot.feedback.lacks,
         "topics": [

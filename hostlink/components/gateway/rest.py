@@ -1,9 +1,11 @@
 """The REST API: robots, their velocity and odometry, links and topics; for curl and for scripts."""
 
+import contextlib
 import dataclasses
 import ipaddress
 from collections import OrderedDict
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
+from functools import partial
 from http import HTTPStatus
 from typing import Annotated, Any, TypedDict, TypeVar
 
@@ -14,7 +16,7 @@ from hostlink.components.gateway.access import GRANT, caller_name
 from hostlink.components.gateway.bodies import convert_velocity, decode_body, whole_number
 from hostlink.components.gateway.clients import Clients, ClientView
 from hostlink.components.gateway.devices import DevicesView, devices_view
-from hostlink.components.gateway.routes import BODY, CAME, Route, refusal, reply
+from hostlink.components.gateway.routes import BODY, CAME, Route, error_status, error_view, refusal, reply
 from hostlink.components.gateway.views import (
     FindingView,
     LinksView,
@@ -46,7 +48,7 @@ from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.robot.views import CommandEndpointView, OdometryView, RobotView, TopicView
 from hostlink.core.runtime.listening import own_address, spelled
 from hostlink.core.runtime.loop_time import loop_time_s
-from hostlink.errors import BadRequest, DeviceGone, UnknownTopic
+from hostlink.errors import BadRequest, DeviceGone, HostlinkError, UnknownTopic
 
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 
@@ -384,7 +386,7 @@ class Rest:
                 request=LockRequest,
                 max_body_bytes=LOCK_BYTES,
                 is_body_optional=True,
-                on_head=lambda request: self._find(request).lock(by=_caller(request)),
+                on_head=self._lock_at_once,
                 is_limited=False,
                 fails=(UNAVAILABLE,),
             ),
@@ -425,6 +427,10 @@ class Rest:
             UnknownTopic: no robot has this name.
         """
         return self._hub.robots.find(request.match_info["name"])
+
+    def _find_to_stop(self, request: web.Request) -> AnyRobot:
+        """Return the robot that the path names, also one of the settings that was not connected yet. As `_find`."""
+        return self._hub.robots.find_to_stop(request.match_info["name"])
 
     def _find_to_drive(self, request: web.Request) -> AnyRobot:
         """Return the robot that the path names, for a request that drives it. Raises as `_find`."""
@@ -474,20 +480,32 @@ class Rest:
 
         Answers with the measured result after wait_s seconds at most (1.5).
         """
-        robot, since_s = self._find(request), loop_time_s()
-        robot.stop(by=_caller(request))
-        endpoints = [*await self._hub.gates.settled(), *robot.unguarded_endpoints]
-        return await self._measured(request, since_s, robot, endpoints=endpoints)
+        robot = self._find_to_stop(request)
+        return await self._halt(request, partial(robot.stop, by=_caller(request)), robot)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
         """Stop every robot and board. Answers with the measured result after wait_s seconds at most (1.5).
 
-        The topics that command a motion and are not a robot's are listed, with those that could not be sent a zero.
+        The topics that command a motion and are not a robot's are listed, with those that could not be sent a zero. If
+        a robot could not be sent one, or a daemon did not answer, the error's answer has all of that, too.
         """
-        since_s = loop_time_s()
-        endpoints = self._hub.robots.stop_all(by=_caller(request))
-        endpoints += await self._hub.gates.settled()
-        return await self._measured(request, since_s, endpoints=endpoints)
+        return await self._halt(request, partial(self._hub.robots.stop_all, by=_caller(request)))
+
+    async def _halt(
+        self, request: web.Request, halt: Callable[[], object], robot: AnyRobot | None = None
+    ) -> web.Response:
+        """Stop or lock the robot, or all, and measure. A failure is answered with what became of all the others."""
+        since_s, failure, found = loop_time_s(), None, list[CommandEndpoint]()
+        try:
+            halt()
+        except HostlinkError as error:  # the others have been sent theirs
+            failure = error
+        try:
+            found = await self._hub.gates.settled()
+        except HostlinkError as error:
+            failure = failure or error
+        endpoints = self._hub.robots.endpoints() if robot is None else robot.unguarded_endpoints
+        return await self._measured(request, since_s, robot, endpoints=[*endpoints, *found], failure=failure)
 
     async def _standstill(self, request: web.Request) -> web.Response:
         """Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)."""
@@ -504,6 +522,7 @@ class Rest:
         robot: AnyRobot | None = None,
         *,
         endpoints: Sequence[CommandEndpoint] | None = None,
+        failure: HostlinkError | None = None,
     ) -> web.Response:
         """Measure whether the robot is stopped, or whether all are. Every stop has been sent before this waits."""
         robots = self._hub.robots.all() if robot is None else [robot]
@@ -512,25 +531,31 @@ class Rest:
         found: dict[str, object] = {"robots": views} if robot is None else {**views[0]}
         if endpoints is not None:
             found["endpoints"] = [command_endpoint_view(each) for each in endpoints]
-        return reply(found)
+        if failure is None:
+            return reply(found)
+        return reply({**error_view(failure), **found}, error_status(failure))
 
     def _lock_all_at_once(self, request: web.Request) -> None:
-        self._hub.robots.lock_all(LOCK_REASON, by=_caller(request))
+        with contextlib.suppress(HostlinkError):  # `_lock_all` answers it
+            self._hub.robots.lock_all(LOCK_REASON, by=_caller(request))
+
+    def _lock_at_once(self, request: web.Request) -> None:
+        robot = self._find_to_stop(request)
+        with contextlib.suppress(HostlinkError):  # `_lock` answers it
+            robot.lock(by=_caller(request))
 
     async def _lock_all(self, request: web.Request) -> web.Response:
         """Emergency stop of every robot and board, until unlock. Answers as stop does.
 
         What connects later is locked, too.
         """
-        robots, by, since_s = self._hub.robots, _caller(request), loop_time_s()
+        robots, by = self._hub.robots, _caller(request)
         try:  # an invalid reason locks, too
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; all are locked')
         except BadRequest:
             robots.lock_all(LOCK_REASON, by=by)
             raise
-        endpoints = robots.lock_all(body.reason, by=by)
-        endpoints += await self._hub.gates.settled()
-        return await self._measured(request, since_s, endpoints=endpoints)
+        return await self._halt(request, partial(robots.lock_all, body.reason, by=by))
 
     async def _unlock_all(self, request: web.Request) -> web.Response:
         """Unlock every robot and board."""
@@ -540,15 +565,13 @@ class Rest:
 
     async def _lock(self, request: web.Request) -> web.Response:
         """Emergency stop: zero velocity at once, commands are refused until unlock. Answers as stop does."""
-        robot, since_s = self._find(request), loop_time_s()
+        robot = self._find_to_stop(request)
         try:  # an invalid reason locks the robot too
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; the robot is locked')
         except BadRequest:
             robot.lock(by=_caller(request))
             raise
-        robot.lock(body.reason, by=_caller(request))
-        endpoints = [*await self._hub.gates.settled(), *robot.unguarded_endpoints]
-        return await self._measured(request, since_s, robot, endpoints=endpoints)
+        return await self._halt(request, partial(robot.lock, body.reason, by=_caller(request)), robot)
 
     async def _unlock(self, request: web.Request) -> web.Response:
         """Unlock the robot."""

@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from http import HTTPStatus
 from importlib.metadata import version
@@ -198,12 +198,23 @@ def reply_encoded(body: bytes, status: HTTPStatus = HTTPStatus.OK) -> web.Respon
     return answer
 
 
-def refusal(kind: str, reason: str, status: HTTPStatus, *, holder: Hashable = None) -> web.Response:
+def refusal(kind: str, reason: str, status: HTTPStatus) -> web.Response:
     """Return the JSON of an error."""
     body: ErrorView = {"error": {"kind": kind, "reason": reason}}
-    if holder is not None:
-        body["error"]["holder"] = str(holder)
     return reply(body, status)
+
+
+def error_view(error: HostlinkError) -> ErrorView:
+    """Return the body of the answer to a request that failed so."""
+    view: ErrorView = {"error": {"kind": error.kind, "reason": str(error)}}
+    if isinstance(error, CommandRefused) and error.holder is not None:
+        view["error"]["holder"] = str(error.holder)
+    return view
+
+
+def error_status(error: HostlinkError) -> HTTPStatus:
+    """Return the status of the answer to a request that failed so."""
+    return REFUSAL_STATUS[error.kind] if isinstance(error, CommandRefused) else STATUS[type(error)]
 
 
 @web.middleware
@@ -212,9 +223,7 @@ async def explain_errors(request: web.Request, handler: Handler) -> web.StreamRe
     try:
         return await handler(request)
     except HostlinkError as error:
-        if isinstance(error, CommandRefused):
-            return refusal(error.kind, str(error), REFUSAL_STATUS[error.kind], holder=error.holder)
-        return refusal(error.kind, str(error), STATUS[type(error)])
+        return reply(error_view(error), error_status(error))
     except web.HTTPException as error:
         if error.status < HTTPStatus.BAD_REQUEST:
             raise

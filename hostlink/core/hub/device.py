@@ -132,9 +132,10 @@ class Device:
     """
 
     __slots__ = (
-        "_awaited", "_hub", "_lockable", "_observers", "_odometry", "_reader", "diagnosis", "drivables", "early",
-        "infos", "is_undecided", "link", "lost", "member", "names", "parameters", "presence", "refused_settings",
-        "robot", "routes", "services", "settings", "shown", "stop_frames", "suggested", "unguarded",
+        "_awaited", "_hub", "_lockable", "_observers", "_odometry", "_reader", "_zeros", "diagnosis", "drivables",
+        "early", "infos", "is_undecided", "link", "lost", "member", "missing", "names", "parameters", "presence",
+        "refused_settings", "robot", "routes", "services", "settings", "shown", "stop_frames", "suggested", "unfit",
+        "unguarded",
     )  # fmt: skip
 
     def __init__(self, link: Link, diagnosis: Diagnosis, presence: Presence, hub: "Hub") -> None:
@@ -147,10 +148,13 @@ class Device:
         self.lost: dict[str, LostEndpoint] = {}  # velocity endpoints that an announcement gave up; set by Gates
         self.settings = NO_SETTINGS  # of its robot's command
         self.member: Membership | None = None  # of a robot of several devices
+        self.missing = ""  # why the robot of several devices of which it is one cannot be driven; empty: it can be
         self.refused_settings = ""  # why they do not fit the device
+        self.unfit = ""  # why they do not fit the devices of its robot together
         self.unguarded: tuple[DeviceEndpoint, ...] = ()  # look like commands of a motion, and have no gate
         self.suggested: Suggestion | None = None  # settings that make a robot of it; None: none do, or it is one
         self._lockable: frozenset[str] = frozenset()  # own names of topics without a gate that a lock refuses
+        self._zeros: dict[str, bytes] = {}  # of the unguarded ones that can be sent one, by own name
         self.routes: dict[int, Topic] = {}  # topic of each id in frames from the device
         self.shown = ShownNames()
         self.names: frozenset[str] = frozenset()  # names of its topics in the graph
@@ -281,6 +285,11 @@ class Device:
     # -- endpoints without a gate -------------------------------------------------------------------------------------
 
     @property
+    def refused(self) -> str:
+        """Why its settings do not fit; empty if they do."""
+        return self.refused_settings or self.unfit
+
+    @property
     def endpoints(self) -> list[Endpoint]:
         """Topics of the last announcement, as the model of robots knows them."""
         return endpoints_of(self.infos)
@@ -351,9 +360,17 @@ class Device:
         self.unguarded = tuple(
             info for info in self.infos if info.kind is EndpointKind.SUBSCRIBER and info.name in names
         )
+        zeros = ((info, zero_of(info.type)) for info in self.unguarded)
+        self._zeros = {info.name: zero for info, zero in zeros if zero is not None and not self._why_no_zero(info)}
         self.suggested = self._suggest()
         self._lockable = self.settings.locked | names
         if self.lock.lock_reason is not None:
+            self.stop_unguarded()
+
+    def note_missing(self, missing: str) -> None:
+        """Note why its robot of several devices cannot be driven: endpoints without a gate get a zero, and keep it."""
+        before, self.missing = self.missing, missing
+        if missing and missing != before:
             self.stop_unguarded()
 
     def stop_unguarded(self) -> None:
@@ -363,8 +380,8 @@ class Device:
                 if info.kind is EndpointKind.SUBSCRIBER and info.name in self._lockable:
                     self.link.session.outbox.drop_commands(info.id)
         for info in self.unguarded:
-            zero = zero_of(info.type)
-            if zero is None or self._why_no_zero(info):
+            zero = self._zeros.get(info.name)
+            if zero is None:
                 self.link.session.outbox.drop_commands(info.id)
             else:
                 self.link.session.publish(info.name, zero, is_urgent=True)
@@ -415,6 +432,7 @@ class Device:
         """Remove everything of this device from the graph."""
         self._end_odometry()
         self._reader = None
+        self.missing = self.unfit = ""
         self.routes.clear()
         self._observers.clear()
         self.names = frozenset()
@@ -534,7 +552,7 @@ class Device:
             config = self._hub.robots.config_of(self.member.robot)
             limits = limits_of(config, (topic,))
             shown = self.shown.of(info.name)
-            admission = Admission(shown, drive=limits.drive)
+            admission = Admission(shown, drive=limits.drive, unlocked_by=self.member.robot)
             if self.lock.lock_reason is not None:
                 admission.lock(self.lock.lock_reason, loop_time_s(), by=self.lock.locked_by)
             gate = VelocityGate(admission, limits, ZERO)
@@ -555,12 +573,16 @@ class Device:
         """Send a message to the device. `reset` is the robot whose odometry it resets.
 
         Raises:
-            CommandRefused: it is locked, and the topic commands a motion or is one that a lock refuses by the settings.
+            CommandRefused: it is locked, and the topic commands a motion or is one that a lock refuses by the settings;
+                or its robot cannot be driven, and this is not the zero of a topic that was sent one for that.
             HostlinkError: the message does not fit the device.
         """
         if name in self._lockable and self.lock.lock_reason is not None:
             text = f"{message.topic}: {self.lock.locked_text}"
             raise CommandRefused(self.lock.robot, RefusalKind.LOCKED, text, by=self.lock.locked_by)
+        if self.missing and self._zeros.get(name, message.payload) != message.payload:
+            text = f"{message.topic}: robot {self.robot_name}: {self.missing}"
+            raise CommandRefused(self.lock.robot, RefusalKind.NOT_CONNECTED, text)
         if reset is not None:
             reset.odometry.expect_reset(message.at_s)
             reset.feedback.reset_pose()

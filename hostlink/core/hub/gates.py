@@ -88,13 +88,18 @@ class Refusals:
     """Velocities that did not fit a robot's device."""
 
     count: int = 0
-    cause: str | None = None  # for the last velocity; None if it was sent
+    error: HostlinkError | None = None  # of the last velocity; None if it was sent
     lines: Budget | None = None  # from the first refusal on
+
+    @property
+    def cause(self) -> str | None:
+        """Why the last velocity did not fit; None if it was sent."""
+        return None if self.error is None else str(self.error)
 
     def add(self, robot: str, error: HostlinkError) -> None:
         """Count a refusal. A driver repeats a command ten times a second."""
         self.count += 1
-        self.cause = str(error)
+        self.error = error
         if self.lines is None:
             self.lines = Budget()
         if counts := self.lines.due("refused", loop_time_s()):
@@ -499,7 +504,7 @@ class Gates:
         for drivable in drivables:
             drivable.gate.counts.stops += 1
             drivable.gate.stop(now_s=now_s)
-            refusal = self._step(drivable, now_s, is_news=True) or refusal
+            refusal = self._halt(drivable, now_s) or refusal
         for drivable, owner in driven:
             self._note_stop(drivable, WAS_STOPPED, owner)
         if refusal is not None:
@@ -546,9 +551,16 @@ class Gates:
             admission.lock(reason, now_s, by=by)
         for drivable in drivables:
             drivable.gate.stop_at_once()
-            refusal = self._step(drivable, now_s, is_news=True) or refusal
+            refusal = self._halt(drivable, now_s) or refusal
         if refusal is not None:
             raise refusal
+
+    def _halt(self, drivable: Drivable, now_s: float) -> HostlinkError | None:
+        """Send the velocity of a gate that was stopped. Return the error if the newest does not fit its device."""
+        error = self._step(drivable, now_s, is_news=True)
+        if error is None and drivable.connection is not None:
+            error = drivable.refusals.error  # of an earlier zero, while the next one is not due
+        return error
 
     def unlock(self, drivables: Iterable[Drivable], *, by: str | None = None) -> None:
         """Admit commands again. Unlocking moves nothing."""
@@ -650,7 +662,7 @@ class Gates:
             except HostlinkError as error:
                 drivable.refusals.add(drivable.name, error)
                 return error
-            drivable.refusals.cause = None
+            drivable.refusals.error = None
             drivable.sent, drivable.sent_at_s = velocity, now_s
             if self._unwritten is None:
                 link.wake()

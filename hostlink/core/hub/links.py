@@ -23,7 +23,8 @@ from hostlink.core.link.serving import Authenticate, LinkEnd, trust
 from hostlink.core.protocol import events
 from hostlink.core.protocol.session import DeviceProtocol
 from hostlink.core.robot.model import CommandSettings, RobotTopicNames, namespace_of
-from hostlink.core.robot.names import Accepted, Directory, Origin, Places, Remembered, Undecided
+from hostlink.core.robot.names import SURE_S, Accepted, Directory, Origin, Places, Remembered, Undecided
+from hostlink.core.robot.parts import Membership
 from hostlink.core.runtime.logs import of_peer, printable
 from hostlink.core.transport.base import Transport
 from hostlink.errors import ConfigError, HostlinkError, ReloadRefused
@@ -252,7 +253,7 @@ class Links:
         """
         misplaced = self._directory.reconfigure(places, settings)
         links = {name: link for name, link in misplaced.items() if link is not None}
-        touched = {*links.values(), *self._commanded_otherwise()}
+        touched = sorted({*links.values(), *self._commanded_otherwise()}, key=self._order)  # each keeps its place
         for link in touched:
             self._leave_graph(self._devices[link])
         for name in misplaced:
@@ -261,6 +262,11 @@ class Links:
             self._identify(self._devices[link])
         found = {name: self._devices[link].robot for name, link in links.items()}
         return {name: robot.name for name, robot in found.items() if robot is not None}
+
+    def _order(self, number: int) -> tuple[bool, int]:
+        """Return what orders devices that claim anew: those that wait for another's place are the last ones."""
+        member = self._devices[number].member
+        return member is not None and member.is_waiting, number
 
     def _commanded_otherwise(self) -> list[int]:
         """Return the links of devices whose commands have other settings than they were identified with."""
@@ -278,9 +284,9 @@ class Links:
         self._capture_room.divide(len(self._devices))
         if device is not None:
             self.undelivered += len(device.early)
+            self._directory.leave(link.number)
             self._leave_graph(device)
             self._hub.gates.release(link)  # the device may have driven another one
-            self._directory.leave(link.number)
 
     def _played_robot(self, link: Link) -> LocalRobot | None:
         """Return the robot of a link on which a recording is played; None for a device, or after a replacement."""
@@ -335,7 +341,11 @@ class Links:
         if claim.replaces is not None:
             self._replace(claim.replaces)
         joined = {each.robot for each in (device.member, claim.member) if each is not None}
+        before_member = device.member
         device.settings, device.member = claim.settings, claim.member
+        if claim.member is not None and claim.member.is_waiting and claim.member != before_member:
+            name, place, _ = claim.member
+            log.warning("robot.device_twice", robot=name, device=printable(place), peer=printable(device.link.peer))
         device.refused_settings = ""
         touched, before = device.names, device.robot
         changed = [] if before is None else [before]
@@ -350,7 +360,9 @@ class Links:
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         self.on_named()
-        self._log_unguarded(device)
+        for each in list(self._devices.values()):
+            if each is device or (each.member is not None and each.member.robot in joined):
+                self._log_unguarded(each)
         for message, read in device.early.pop_all():
             device.receive(message, read)
 
@@ -405,8 +417,8 @@ class Links:
     def _log_unguarded(self, device: Device) -> None:
         """Note for the diagnosis what nothing guards, and which settings do not fit. Log what is new."""
         noted, before = dict[str, str](), device.diagnosis.noted
-        if device.refused_settings:
-            noted["settings_refused"] = device.refused_settings
+        if device.refused:
+            noted["settings_refused"] = device.refused
         if device.unguarded:
             topics = ", ".join(f"{device.shown.of(info.name)} ({info.type})" for info in device.unguarded)
             noted[UNGUARDED] = f"{topics}\n{device.suggestion}"
@@ -462,8 +474,25 @@ class Links:
 
     def _regroup(self, names: Iterable[str]) -> list[LocalRobot]:
         """Find the parts of robots of several devices anew. Return these robots."""
-        found = (self._hub.robots.regroup(name) for name in names)
+        names = set(names)
+        found = [self._hub.robots.regroup(name) for name in names]
+        for device in self._devices.values():
+            member = device.member
+            if member is not None and member.is_waiting and member.robot in names and self._directory.is_free(member):
+                self._hub.spawn(self._take_place(device, member), name=f"place of link {device.link.number}")
         return [robot for robot in found if robot is not None]
+
+    async def _take_place(self, device: Device, member: Membership) -> None:
+        """Let a device that waits take its place, if the one before has not come back when the robot has stopped."""
+        await asyncio.sleep(SURE_S)
+        while device.member is member and self._directory.is_free(member):
+            if not self._hub.robots.may_robot_move(member.robot):
+                peer = printable(device.link.peer)
+                log.warning("robot.device_replaced", robot=member.robot, device=printable(member.place), peer=peer)
+                self._directory.offer(device.link.number)
+                self._identify(device)
+                return
+            await asyncio.sleep(DECIDE_INTERVAL_S)
 
 
 def commands_by_name(config: Config) -> dict[str, CommandSettings]:

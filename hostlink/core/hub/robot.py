@@ -550,7 +550,7 @@ class LocalRobot(Drivable, AnyRobot):
         return _why_moving(
             is_played=self.is_played,
             drivers=(each.gate.owner_name for each in self.beside),
-            unreachable=self.refusals.cause,
+            unreachable=self.refusals.cause and f"its device cannot receive the stop: {self.refusals.cause}",
             velocities=(each.gate.current for each in self.beside),
         )
 
@@ -812,7 +812,7 @@ class RemoteRobot(AnyRobot):
             return "its device is not connected"
         if self.known.feedback is FeedbackKind.NONE:
             cause = self.known.unreachable
-            return NO_ODOMETRY if cause is None else f"its device cannot receive the stop: {cause}"
+            return NO_ODOMETRY if cause is None else cause
         if self.odometry.count == 0:
             return "it sends no odometry"
         return f"no odometry of it has come from {self.host} since the stop"
@@ -915,7 +915,7 @@ def _why_moving(
     if driver is not None:
         return f"driven by {driver}"
     if unreachable is not None:
-        return f"its device cannot receive the stop: {unreachable}"
+        return unreachable
     if not all(velocity.is_zero for velocity in velocities):
         return "it slows down within its deceleration limits"
     return "the stop was sent, and its device has not obeyed it yet"

@@ -22,6 +22,7 @@ from hostlink.core.hub.robot import (
     command_settings,
     commands_of,
     correction_of,
+    drive_in,
     feedback_of,
     frames_of,
     limits_of,
@@ -31,12 +32,12 @@ from hostlink.core.hub.robot import (
 from hostlink.core.hub.robot_events import OTHER_TOPICS, EventKind
 from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import EPOCH_BITS, Admission, EarlierCommands
-from hostlink.core.robot.command_types import CommandType, TopicType
-from hostlink.core.robot.feedback import Feedback
+from hostlink.core.robot.command_types import CommandType, TopicType, TwistCommand
+from hostlink.core.robot.feedback import Feedback, FeedbackSettings
 from hostlink.core.robot.model import RobotTopicNames
 from hostlink.core.robot.odometry import OdometryEstimator
-from hostlink.core.robot.parts import Parts, parts_of
-from hostlink.core.robot.velocity import ZERO, PlanarVelocity
+from hostlink.core.robot.parts import Membership, Parts, parts_of
+from hostlink.core.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from hostlink.core.robot.velocity_gate import VelocityGate
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
@@ -149,6 +150,11 @@ class Robots:
         is_moving = any(drivable.gate.may_move for drivable in self.drivables())
         return is_moving or any(robot.admission.is_held(now_s) for robot in self.remote.values())
 
+    def may_robot_move(self, name: str) -> bool:
+        """Whether a velocity topic of this robot's devices may move."""
+        members = (each for each in self.devices.values() if each.robot_name == name)
+        return any(drivable.gate.may_move for device in members for drivable in device.drivables)
+
     # -- robots -------------------------------------------------------------------------------------------------------
 
     def here(self) -> list[LocalRobot]:
@@ -174,6 +180,37 @@ class Robots:
             self._note_early(plain, driver)
             raise UnknownTopic("robot", name, self._robots.keys() | self.remote.keys())
         return robot
+
+    def find_to_stop(self, name: str) -> AnyRobot:
+        """Return the robot of this name, for a stop or a lock; also one of the settings that has never been commanded.
+
+        It is known from then on: what is connected of it is stopped, and a lock holds for what connects later.
+
+        Raises:
+            UnknownTopic: it does not exist, and the settings do not name it.
+        """
+        plain = name.strip("/")
+        if plain in self._configs and self._find(plain) is None:
+            self._expect(plain)
+        return self.find(name)
+
+    def _expect(self, name: str) -> None:
+        """Add a robot of the settings whose topics are not known yet."""
+        config = self.config_of(name)
+        command = TopicType(f"/{name}/cmd_vel", TWIST_TYPE)
+        topics = RobotTopicNames(name, (command,))
+        feedback = Feedback((), FeedbackSettings(), drive_in(config))
+        self._add(self._make(name, topics, topics, TwistCommand(command), feedback))
+        self._hub.note_robot(name)
+        self.regroup(name)
+
+    def _add(self, robot: LocalRobot) -> None:
+        """Add a robot. It is locked if all are."""
+        self._robots[robot.name] = robot
+        self._gates.register(robot.admission)
+        self._join_early(robot)
+        if self.boards.lock_reason is not None:
+            robot.admission.lock(self.boards.lock_reason, loop_time_s(), by=self.boards.locked_by)
 
     def _note_early(self, name: str, driver: Callable[[], Hashable] | None) -> None:
         if driver is not None:
@@ -249,6 +286,10 @@ class Robots:
             if any(each.refusals.cause is not None for each in of_robots):
                 raise  # else it is a board's, which is named below
         return self.endpoints()
+
+    def refusal(self, robot: AnyRobot) -> str:
+        """Return why a connected robot here refused its last velocity, as that of a stop; empty: it did not."""
+        return robot.refusals.cause or "" if isinstance(robot, LocalRobot) and robot.link is not None else ""
 
     def lock_all(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
         """Lock every robot and every board, including those of other daemons, also boards that connect later.
@@ -358,11 +399,8 @@ class Robots:
             self._gates.note_end(robot, OTHER_TOPICS)
         self._gates.detach(device)
         if robot is None:
-            robot = self._robots[name] = self._make(name, topics, shown, commands, feedback)
-            self._gates.register(robot.admission)
-            self._join_early(robot)
-            if self.boards.lock_reason is not None:
-                robot.admission.lock(self.boards.lock_reason, loop_time_s(), by=self.boards.locked_by)
+            robot = self._make(name, topics, shown, commands, feedback)
+            self._add(robot)
         before = self.device(robot.link)
         if before is not None:
             before.robot = None
@@ -401,11 +439,13 @@ class Robots:
         commanded.
         """
         robot = self._robots.get(name)
-        members = {
-            device.member.place: device
-            for device in self.devices.values()
-            if device.member is not None and device.member.robot == name and not device.is_undecided
-        }
+        members, waiting = dict[str, Device](), list[Device]()
+        for device in self.devices.values():
+            if device.member is not None and device.member.robot == name and not device.is_undecided:
+                if device.member.is_waiting:
+                    waiting.append(device)
+                else:
+                    members[device.member.place] = device
         config = self.config_of(name) if robot is None else robot.config
         if not config.devices:  # no longer of several
             if robot is not None:
@@ -414,16 +454,25 @@ class Robots:
             return robot
         endpoints = {place: device.endpoints for place, device in members.items()}
         parts = parts_of(name, command_settings(config), endpoints)
+        for device in waiting:
+            device.unfit = self._why_waiting(device, members)
+            self._note_missing(name, device.drivables, device.unfit)
+            device.note_missing(device.unfit)
+        is_unfit = parts.command is None and len(members) == len(config.devices)
+        for device in members.values():
+            device.unfit = parts.why_not if is_unfit and device.robot is None else ""
+            device.note_missing(parts.why_not)
+        drivables = [each for device in members.values() for each in device.drivables]
         if robot is None:
-            self._note_missing(name, [each for device in members.values() for each in device.drivables], parts.why_not)
+            self._note_missing(name, drivables, parts.why_not)
             return None
-        self._note_parts(robot, tuple(each for each in members.values() if each is not robot.connection), None)
+        self._note_parts(
+            robot, tuple(each for each in (*members.values(), *waiting) if each is not robot.connection), None
+        )
         before = robot.admission.missing
-        self._note_missing(name, robot.beside, parts.why_not)
+        self._note_missing(name, dict.fromkeys((robot, *drivables)), parts.why_not)
         if parts.why_not and parts.why_not != before:
             log.warning("robot.incomplete", robot=name, reason=parts.why_not)
-            for device in robot.devices:
-                device.stop_unguarded()
         elif before and not parts.why_not:
             log.info("robot.complete", robot=name)
         self._read_parts(robot, parts, members)
@@ -433,6 +482,17 @@ class Robots:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
                     self._gates.lock([drivable], reason, by=robot.admission.locked_by)
         return robot
+
+    def _why_waiting(self, device: Device, members: Mapping[str, Device]) -> str:
+        """Return why a device waits for its place in a robot of several devices."""
+        robot, place, _ = device.member or Membership("", "")
+        holder = members.get(place)
+        if holder is None:
+            return f"its device {place} has left, and another one that fits waits until the robot has stopped"
+        return (
+            f"its device {place} is {holder.link.peer}, so that {device.link.peer} is not driven; tell them apart "
+            f"by addresses with ports in devices of [robots.{robot}]"
+        )
 
     def _note_parts(
         self, robot: LocalRobot, parts: tuple[Device, ...], links: dict[tuple[str, str], Link] | None

@@ -303,6 +303,7 @@ class Admission:
     locked_by: str | None = None
     interrupted_by: str | None = None  # the newest interruption
     is_connected: bool = False
+    unlocked_by: str = ""  # robot with which it is locked and unlocked; empty: `robot`
     missing: str = ""  # why a robot of several devices cannot be driven: one of them is not connected
     refused: dict[RefusalKind, int] = field(default_factory=dict)
     _sources: dict[Hashable, _Source] = field(default_factory=dict)  # the one that commanded last is the last one
@@ -540,7 +541,7 @@ class Admission:
     @property
     def locked_text(self) -> str:
         """Reason of a refusal under a lock, with the command that ends it: without a robot, the unlock of all."""
-        whom = "--all" if self.drive is None else shlex.quote(self.robot)
+        whom = "--all" if self.drive is None else shlex.quote(self.unlocked_by or self.robot)
         return f"locked: {self.lock_reason}; to drive it again: hostlink unlock {whom}"
 
     # -- who drives ---------------------------------------------------------------------------------------------------

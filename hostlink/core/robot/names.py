@@ -131,6 +131,7 @@ class Places:
         for name, address in addresses.items():
             if address is not None:
                 self._names[address].append(name)
+        self._of_several = frozenset(devices or {})
         for name, places in (devices or {}).items():
             for place in places:
                 self._names[place].append(name)
@@ -138,6 +139,12 @@ class Places:
     def has(self, name: str) -> bool:
         """Whether this robot has a place."""
         return name in self._with_place
+
+    def keeps(self, name: str, member: Membership | None, *, is_connected: bool) -> bool:
+        """Whether a robot of several devices has its name by its part `member`, or by one that will connect."""
+        if not is_connected:
+            return name in self._of_several
+        return member is not None and member.robot == name and name in self._names.get(member.place, ())
 
     def is_configured(self, name: str) -> bool:
         """Whether the configuration names this robot, with or without a place."""
@@ -385,6 +392,7 @@ class _Entry:
     is_settled: bool = False
     name: str | None = None  # of its robot
     member: Membership | None = None
+    is_waiting: bool = False  # for the place of its member: another device has it
     is_certain: bool = False
     replaced_at_s: float = -math.inf  # when it replaced another link
 
@@ -409,6 +417,9 @@ class Directory:
 
     A robot whose name lives at another address waits for up to 3 s if that one is silent: it may have moved. A
     recording that is played has a robot's name only until the robot itself connects, whose link replaces its own.
+
+    Of several devices that an entry of a robot's `devices` means, the first one has this place until its link ends.
+    The others wait: each may take the place after `offer`.
     """
 
     def __init__(
@@ -426,6 +437,7 @@ class Directory:
         self._entries: dict[int, _Entry] = {}
         self._presences: dict[int, Presence] = {}
         self._settled: defaultdict[tuple[str, Hashable], dict[int, None]] = defaultdict(dict)
+        self._holders: dict[Membership, int] = {}  # link of the device that has each place
 
     @property
     def remembered(self) -> dict[str, Remembered]:
@@ -472,13 +484,17 @@ class Directory:
         if entry is None or entry.key != key or entry.member != member:
             self._release(link)
             origin = Origin("" if robot is None else robot.name, address, peer, is_unnamed)
-            entry, is_new = _Entry(origin, key, now_s, member=member), True
+            was_waiting = entry is not None and entry.is_waiting and entry.member == member
+            entry, is_new = _Entry(origin, key, now_s, member=member, is_waiting=was_waiting), True
             self._entries[link] = entry
         replaces = None
         if not entry.is_settled:
             gone, unclear = self._rivals(entry, now_s)
             if gone is None and unclear:
                 return Undecided(probe=tuple(unclear) if is_new else ())
+            entry.is_waiting |= self._is_taken(member, gone)
+            if entry.is_waiting:
+                robot = None
             named = None if robot is None else self._name(entry, gone, now_s)
             if robot is not None and named is None:
                 return Undecided(probe=())
@@ -486,6 +502,8 @@ class Directory:
             replaces = self._names.links.get(named.name) if gone is None and named is not None else gone
             self._settle(link, entry, named, replaces)
             entry.replaced_at_s = -math.inf if gone is None else entry.since_s
+        if member is not None:
+            member = member._replace(is_waiting=entry.is_waiting)
         if robot is None or entry.name is None:
             return Accepted(None, replaces, settings=settings, member=member)
         is_numbered = self._names.is_numbered(entry.name, entry.origin)
@@ -501,6 +519,20 @@ class Directory:
             if place is not None:
                 return Membership(name, place)
         return None
+
+    def _is_taken(self, member: Membership | None, gone: int | None) -> bool:
+        """Whether another device has this place. One that replaces a device that waited waits, too."""
+        if member is None:
+            return False
+        return self._holders.get(member, gone) != gone or (gone is not None and self._entries[gone].is_waiting)
+
+    def is_free(self, member: Membership) -> bool:
+        """Whether no device has this place of a robot."""
+        return member._replace(is_waiting=False) not in self._holders
+
+    def offer(self, link: int) -> None:
+        """Let a device that waits for a place have it, if it is free when the device claims again."""
+        self._release(link)
 
     def _is_other_commanded(self, link: int, member: Membership) -> bool:
         """Whether another device has the robot's name: two that take a velocity are not one robot."""
@@ -544,7 +576,13 @@ class Directory:
 
     def misplaced(self, places: Places) -> dict[str, int | None]:
         """The names that these places would change, and the link of each; None: its device is away."""
-        return {name: self._names.links.get(name) for name in self._names.misplaced(places)}
+        links = {name: self._names.links.get(name) for name in self._names.misplaced(places)}
+        members = {name: None if link is None else self._entries[link].member for name, link in links.items()}
+        return {
+            name: link
+            for name, link in links.items()
+            if not places.keeps(name, members[name], is_connected=link is not None)
+        }
 
     def reconfigure(self, places: Places, settings: Mapping[str, CommandSettings]) -> dict[str, int | None]:
         """Name by these places and settings from now on; each device whose name they change must claim again.
@@ -620,6 +658,8 @@ class Directory:
         if replaces is not None:
             self.leave(replaces)
         entry.is_settled = True
+        if entry.member is not None and not entry.is_waiting:
+            self._holders[entry.member] = link
         self._settled[entry.key][link] = None
         if named is not None:
             entry.name, entry.is_certain = named.name, named.is_certain
@@ -633,6 +673,8 @@ class Directory:
             self._settled[entry.key].pop(link, None)
             if not self._settled[entry.key]:
                 del self._settled[entry.key]
+            if entry.member is not None and not entry.is_waiting:
+                del self._holders[entry.member]
         if entry.name is not None:
             self._names.leave(entry.name)
 

@@ -9,10 +9,14 @@ from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, nam
 
 
 class Membership(NamedTuple):
-    """A device that is a part of a robot: the robot's name, and the entry of its `devices` that means the device."""
+    """A device that is a part of a robot: the robot's name, and the entry of its `devices` that means the device.
+
+    `is_waiting`: another device has this place since before, so that this one is not driven and tells nothing.
+    """
 
     robot: str
     place: str
+    is_waiting: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,22 @@ def takes_velocity(place: str, endpoints: Sequence[Endpoint], settings: CommandS
     return settings.command_device in (None, place) and find_robot(endpoints, settings) is not None
 
 
+def _why_no_command(name: str, settings: CommandSettings, connected: Mapping[str, Sequence[Endpoint]]) -> str:
+    """Return why none of the devices, which are all connected, commands the robot."""
+    taken = [(each.name, place) for place in settings.devices for each in connected[place] if each.is_to_device]
+    first = dict(reversed(taken))
+    absent = [topic for topic in settings.topics if topic not in first]
+    if absent:
+        return f"none of its devices takes {' and '.join(absent)}, as [robots.{name}] says"
+    places = {topic: first[topic] for topic in settings.topics}
+    if len(set(places.values())) > 1:
+        split = ", ".join(f"{topic} on {place}" for topic, place in places.items())
+        return f"its command topics must be on one device, and they are on several: {split}"
+    if settings.command_device not in (None, *places.values()):
+        return f"command_device in [robots.{name}] is {settings.command_device}, which takes no velocity"
+    return "none of its devices takes a velocity"
+
+
 def parts_of(name: str, settings: CommandSettings, connected: Mapping[str, Sequence[Endpoint]]) -> Parts:
     """Return the parts of a robot, from the endpoints of the connected devices by entries of its `devices`."""
     commands = [
@@ -71,7 +91,7 @@ def parts_of(name: str, settings: CommandSettings, connected: Mapping[str, Seque
         verb = "is" if len(missing) == 1 else "are"
         why_not = f"its device {' and '.join(missing)} {verb} not connected"
     elif command is None:
-        why_not = "none of its devices takes a velocity"
+        why_not = _why_no_command(name, settings, connected)
     order = sorted(settings.devices, key=lambda place: place == command)  # stable
     feedback = tuple((place, each) for place in order for each in connected.get(place, ()) if not each.is_to_device)
     return Parts(command, why_not, feedback)

@@ -6,8 +6,8 @@ Its messages     topics.requested, topics.negotiated, topic.refused, message.ref
                  parameter.refused, protocol.version_1, participant.crashed
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,
                  robot.unlocked, robot.unreachable, robot.crashed, robot.settings_refused, robots.all_locked,
-                 robots.all_unlocked, robot.incomplete, robot.complete, names.damaged, names.not_kept,
-                 device.unguarded_command, odometry.unreadable
+                 robots.all_unlocked, robot.incomplete, robot.complete, robot.device_twice, robot.device_replaced,
+                 names.damaged, names.not_kept, device.unguarded_command, odometry.unreadable
 Services         service.late, service.failed, service.crashed, service.cut, service.taken_over, service.unanswerable
 Clients          client.connected, client.closed, client.broken, client.too_slow, client.too_fast,
                  client.refused, client.unknown_op, client.crowded, client.malformed, client.origin_refused

@@ -10,9 +10,10 @@ import typer
 
 from hostlink.cli.robots import _halt, _lock, _stop, _unlock
 from hostlink.client import Host, Robot, Standstill, StandstillState, Stopped, StoppedRobot
+from hostlink.core.config import Config, RobotConfig
 from hostlink.core.hub.device import CommandEndpoint
 from hostlink.core.protocol.endpoint import EndpointKind
-from hostlink.errors import CommandRefused, HostlinkError
+from hostlink.errors import CommandRefused, HostlinkError, Refused, StopFailed
 from tests.support.background import cancelling
 from tests.support.fake_device import topic
 from tests.support.memory_client import memory_host
@@ -31,7 +32,7 @@ class _Host:
         self.asked: list[str] = []
 
     async def robots(self) -> list[dict[str, Any]]:
-        return [{"name": name, "locked": True} for name in self.names]
+        return [{"name": name, "locked": True, "connected": True} for name in self.names]
 
     def robot(self, name: str) -> Any:
         return _Robot(self, name)
@@ -74,6 +75,8 @@ def halted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def noting(word: str) -> Any:
         async def halt(robot: Any, **_: object) -> StoppedRobot:
+            if robot.name not in robot.host.names:
+                raise Refused("UnknownTopic", f"no robot is named {robot.name}")
             asked.append(f"{word} {robot.name}")
             return STOPPED
 
@@ -140,14 +143,14 @@ CAR = topic(EndpointKind.SUBSCRIBER, 100, "/car/cmd_vel", "geometry_msgs/Twist")
 SENT = " of link 2 (10.0.0.3)"
 
 
-def in_daemon(test: Callable[[MemoryHub, Host], Awaitable[None]]) -> None:
+def in_daemon(test: Callable[[MemoryHub, Host], Awaitable[None]], config: Config | None = None) -> None:
     """Run a test with a connection of the client to a hub."""
 
     async def run(made: MemoryHub) -> None:
         async with cancelling() as tasks, memory_host(made.hub, tasks) as host:
             await test(made, host)
 
-    in_hub(run)
+    in_hub(run, config)
 
 
 def outcome(work: Coroutine[Any, Any, None], capsys: pytest.CaptureFixture[str]) -> Awaitable[tuple[int, list[str]]]:
@@ -294,5 +297,94 @@ def test_unlock_of_boards_alone_needs_no_robot(capsys: pytest.CaptureFixture[str
         )
         with pytest.raises(HostlinkError, match="no robot has connected yet"):
             await _unlock(host, [], everything=True)
+
+    in_daemon(test)
+
+
+@pytest.mark.parametrize("names", [["car"], []])
+def test_robot_whose_device_is_away_is_locked_and_the_status_says_that_it_was_sent_nothing(
+    names: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def test(made: MemoryHub, host: Host) -> None:
+        device = await made.connect([CAR])
+        await device.aclose()
+        await asyncio.sleep(SETTLED_S)
+        assert await outcome(_stop(host, names, is_measured=False, json=False), capsys) == (
+            1,
+            ["car: not sent a zero: its device is not connected"],
+        )
+        assert await outcome(_lock(host, names, "a foot", json=False), capsys) == (
+            1,
+            ["car is locked: a foot", "car: it is not known whether it is stopped: its device is not connected"],
+        )
+        assert made.robot("car").gate.lock_reason == "a foot"
+
+    in_daemon(test)
+
+
+def test_robot_of_the_settings_is_stopped_and_locked_by_its_name_before_it_has_connected(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    config = Config(robots={"duo": RobotConfig(devices=("10.0.0.3", "10.0.0.4"))})
+
+    async def test(made: MemoryHub, host: Host) -> None:
+        board = await made.connect([MOTOR], address="10.0.0.3")
+        why = "duo: it is not known whether it is stopped: its device 10.0.0.4 is not connected"
+        status, lines = await outcome(_lock(host, ["duo"], "a foot", json=False), capsys)
+        assert status == 1
+        assert lines[:2] == ["duo is locked: a foot", why]
+        assert lines[2].startswith("/left_motor of link 1 (10.0.0.3) is locked: a foot; zero sent")
+        await asyncio.sleep(SETTLED_S)
+        assert set(board.payloads(110)) == {bytes(2)}
+        await made.connect([CAR], address="10.0.0.4")
+        assert made.robot("duo").state(made.now_s).lock_reason == "a foot"
+        with pytest.raises(HostlinkError, match="there is no robot named dou; similar names: duo"):
+            await _stop(host, ["dou"], json=False)
+
+    in_daemon(test, config)
+
+
+def test_stop_of_a_robot_without_its_encoder_board_says_that_the_zero_was_sent(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    config = Config(robots={"duo": RobotConfig(devices=("10.0.0.3", "10.0.0.4"))})
+
+    async def test(made: MemoryHub, host: Host) -> None:
+        await made.connect([CAR], address="10.0.0.3")
+        assert await outcome(_stop(host, [], is_measured=False, json=False), capsys) == (
+            1,
+            ["duo: zero sent as far as possible: its device 10.0.0.4 is not connected"],
+        )
+
+    in_daemon(test, config)
+
+
+@pytest.mark.parametrize("verb", ["stop", "stop --no-measure", "lock"])
+def test_robot_whose_zero_does_not_fit_hides_no_other_in_the_answer_of_a_stop_of_all(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stamped = topic(EndpointKind.SUBSCRIBER, 101, "/bad/cmd_vel", "geometry_msgs/TwistStamped", buffer_bytes=70)
+
+    async def test(made: MemoryHub, host: Host) -> None:
+        await made.connect([CAR])
+        await made.connect([stamped], address="10.0.0.4")
+        await made.connect([MOTOR], address="10.0.0.3")
+        is_lock, is_measured = verb == "lock", verb == "stop"
+        if is_lock:
+            work = _lock(host, [], "a foot", json=False)
+        else:
+            work = _stop(host, [], is_measured=is_measured, json=False)
+        with pytest.raises(StopFailed, match="/bad/cmd_vel: frame of ") as failed:
+            await work
+        assert failed.value.kind == "FrameTooLarge"
+        lines = capsys.readouterr().out.splitlines()
+        about = [line for line in lines if "bad" in line]
+        assert "frame of " in about[-1]
+        assert any(
+            line.startswith("zero sent; car has" if is_lock or is_measured else "car: zero sent") for line in lines
+        )
+        assert lines[-1].startswith("/left_motor of link 3 (10.0.0.3)")
+        assert "zero sent" in lines[-1]
+        assert all(robot.gate.lock_reason == ("a foot" if is_lock else None) for robot in made.hub.robots.here())
 
     in_daemon(test)

@@ -16,7 +16,9 @@ from hostlink.core import components
 from hostlink.core.components import LONGEST_PAUSE_S, STEADY_S, chosen_components, find_component, supervise
 from hostlink.core.config import Config
 from hostlink.core.host import MANY, Component, Host, PlanarVelocity, RobotEvent, Role
-from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, NoRole, UnknownTopic
+from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.errors import CommandRefused, ConfigError, DeviceGone, FrameTooLarge, HostlinkError, NoRole, UnknownTopic
+from tests.support.fake_device import topic
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.virtual_loop import inside
 from tests.support.waiting import expect
@@ -234,6 +236,24 @@ async def test_stop_by_a_component_reaches_a_robot_that_another_drives_and_says_
         assert stopped.unreached == ()
         await asyncio.sleep(0.05)
         assert velocities(device)[-1] == (0.0, 0.0)
+
+
+@inside(in_hub)
+async def test_stop_and_lock_of_all_name_a_robot_that_its_zero_does_not_fit_and_those_that_it_fits(
+    made: MemoryHub,
+) -> None:
+    stamped = topic(EndpointKind.SUBSCRIBER, 100, "/bad/cmd_vel", "geometry_msgs/TwistStamped", buffer_bytes=70)
+    await made.connect()
+    await made.connect([stamped], address="10.0.0.9")
+    refusal = "bad: /bad/cmd_vel: frame of 85 bytes, the device takes 70"
+    async with a_host(made) as host:
+        stopped = await host.stop(by="a button", wait_s=0.0)
+        assert (set(stopped.robots), stopped.unreached) == ({"bad", "robot_0"}, (refusal,))
+        assert await host.lock(reason="a person", by="a button") == (refusal,)
+        assert [robot.lock_reason for robot in host.robots()] == ["a person"] * 2
+        for halt in (host.stop("bad", by="a button"), host.lock("bad", reason="a person", by="a button")):
+            with pytest.raises(FrameTooLarge):
+                await halt
 
 
 @inside(in_hub)

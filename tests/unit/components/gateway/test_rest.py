@@ -11,13 +11,17 @@ from hostlink.components.gateway.bodies import convert_velocity
 from hostlink.components.gateway.rest import MAX_OWNERS, Owners, VelocityRequest
 from hostlink.components.gateway.rosbridge import DriveOperation
 from hostlink.core.config import Config
+from hostlink.core.hub.device import CommandEndpoint
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
+from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.views import RobotView
-from hostlink.errors import BadRequest
-from tests.support.fake_device import CATALOG
+from hostlink.errors import BadRequest, DeviceGone
+from tests.support.fake_device import CATALOG, topic
 from tests.support.participants import VELOCITY_ID
+from tests.support.remote_robots import RecordingHosts
 from tests.support.rest_memory import RestMemory, rest_memory
+from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
 
 VELOCITY = "/api/robots/robot_0/velocity"
@@ -118,6 +122,48 @@ def test_stop_of_all_sends_zero_and_lists_every_robot() -> None:
         await api.move_to(0, 0, 0)
         assert (status, [robot["name"] for robot in body["robots"]]) == (200, ["robot_0"])
         assert speeds(api)[-1] == (0.0, 0.0, 0.0)
+
+    check(test)
+
+
+@pytest.mark.parametrize("path", ["/api/stop", "/api/lock", "/api/robots/bad/stop", "/api/robots/bad/lock"])
+def test_zero_that_does_not_fit_one_robot_is_an_error_whose_answer_has_all_the_others(path: str) -> None:
+    infos = [
+        topic(EndpointKind.SUBSCRIBER, 100, "/bad/cmd_vel", "geometry_msgs/TwistStamped", buffer_bytes=70),
+        topic(EndpointKind.SUBSCRIBER, 101, "left_motor", "std_msgs/Int16"),
+    ]
+
+    async def test(api: RestMemory) -> None:
+        bad = ScriptedDevice(api.hub, infos, address="10.0.0.9")
+        await asyncio.sleep(0.1)
+        await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
+        status, body = await api.call("POST", f"{path}?wait_s=0")
+        reason = "/bad/cmd_vel: frame of 85 bytes, the device takes 70"
+        assert (status, body["error"]) == (413, {"kind": "FrameTooLarge", "reason": reason})
+        assert [(each["topic"], each["is_zero_sent"]) for each in body["endpoints"]] == [("/left_motor", True)]
+        await asyncio.sleep(0.05)
+        assert bad.payloads(101) == [bytes(2)]
+        if "robots" in path:
+            assert (body["name"], body["unreachable"], body["locked"]) == ("bad", reason, path.endswith("lock"))
+        else:
+            robots = {each["name"]: (each["unreachable"], each["locked"]) for each in body["robots"]}
+            assert robots == {"bad": (reason, path.endswith("lock")), "robot_0": (None, path.endswith("lock"))}
+            assert speeds(api)[-1] == (0.0, 0.0, 0.0)
+
+    check(test)
+
+
+@pytest.mark.parametrize("path", ["/api/stop", "/api/lock"])
+def test_daemon_that_does_not_answer_a_stop_is_an_error_whose_answer_has_every_robot(path: str) -> None:
+    class Silent(RecordingHosts):
+        async def settled(self) -> list[CommandEndpoint]:  # type: ignore[override]
+            raise DeviceGone("lab", "lab has not answered")
+
+    async def test(api: RestMemory) -> None:
+        api.hub.gates.reach(Silent())  # type: ignore[arg-type]
+        status, body = await api.call("POST", f"{path}?wait_s=0")
+        assert (status, body["error"]["kind"]) == (503, "DeviceGone")
+        assert ([each["name"] for each in body["robots"]], body["endpoints"]) == (["robot_0"], [])
 
     check(test)
 

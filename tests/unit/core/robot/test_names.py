@@ -730,7 +730,7 @@ def part(ours: Clocked, link: int, address: str, topics: list[Endpoint]) -> tupl
     assert isinstance(claim, Accepted)
     assert claim.replaces is None
     if claim.member is not None:
-        assert claim.member.place in (address, "arm")
+        assert claim.member.place in (address, "arm", "base")
         assert claim.robot is None or (claim.is_certain and not claim.is_numbered)
     return None if claim.robot is None else claim.robot.name, None if claim.member is None else claim.member.robot
 
@@ -806,3 +806,75 @@ def test_device_that_the_settings_make_a_part_of_a_robot_gives_up_its_own_name()
 
 def test_played_recording_is_a_part_of_no_robot() -> None:
     assert part(of_two(CommandSettings(devices=(HOME, "robot_0"))), 1, HOME, played()) == ("robot_0", None)
+
+
+# -- several devices that one entry of a robot means ------------------------------------------------------------------
+
+ENCODERS, NAMED = [from_device("/enc/odom", ODOMETRY)], CommandSettings(devices=("base", "enc"))
+BASE = [to_device("/base/cmd_vel")]
+
+
+def memberships(ours: Clocked, links: dict[int, str], topics: list[Endpoint]) -> dict[int, bool]:
+    """Return for each device, by its link and address, whether it waits for the place."""
+    found = {}
+    for link, address in links.items():
+        claim = ours.claim(link, address, topics)
+        assert isinstance(claim, Accepted)
+        assert claim.member is not None
+        assert claim.robot is None or not claim.member.is_waiting
+        found[link] = claim.member.is_waiting
+    return found
+
+
+@pytest.mark.parametrize("topics", [ENCODERS, BASE])
+def test_first_device_has_its_place_in_a_robot_until_it_leaves_and_another_is_offered_it(
+    topics: list[Endpoint],
+) -> None:
+    ours = of_two(NAMED)
+    place = Membership("r", "enc" if topics is ENCODERS else "base")
+    assert ours.directory.is_free(place)
+    assert memberships(ours, {1: HOME, 2: AWAY}, topics) == {1: False, 2: True}
+    assert not ours.directory.is_free(place._replace(is_waiting=True))
+    assert memberships(ours, {2: AWAY, 1: HOME}, topics) == {2: True, 1: False}  # they announce again
+    assert memberships(ours, {2: AWAY}, [*topics, from_device("/range")]) == {2: True}  # other topics
+    ours.leave(1)
+    assert ours.directory.is_free(place)
+    assert memberships(ours, {2: AWAY}, topics) == {2: True}  # the robot may still move
+    ours.directory.offer(2)
+    assert memberships(ours, {2: AWAY, 3: HOME}, topics) == {2: False, 3: True}
+
+
+def test_device_that_reconnects_while_its_old_link_seems_alive_keeps_its_place() -> None:
+    ours = of_two(NAMED)
+    assert memberships(ours, {1: HOME, 2: AWAY}, ENCODERS) == {1: False, 2: True}
+    ours.talk(1, 2)
+    claim = ours.claim(3, HOME, ENCODERS)
+    while isinstance(claim, Undecided):
+        ours.talk(2, 3)
+        claim = ours.claim(3, HOME, ENCODERS)
+    assert (claim.replaces, claim.member) == (1, Membership("r", "enc"))
+    assert memberships(ours, {2: AWAY}, ENCODERS) == {2: True}
+
+
+def test_device_that_reconnects_while_it_waits_for_a_place_waits_on() -> None:
+    ours = of_two(NAMED)
+    assert memberships(ours, {1: HOME, 2: AWAY}, ENCODERS) == {1: False, 2: True}
+    ours.leave(1)
+    claim = ours.claim(3, AWAY, ENCODERS)
+    while isinstance(claim, Undecided):
+        ours.now_s += 1.0
+        claim = ours.claim(3, AWAY, ENCODERS)
+    assert (claim.replaces, claim.member) == (2, Membership("r", "enc", is_waiting=True))
+    ours.directory.offer(3)
+    assert memberships(ours, {3: AWAY}, ENCODERS) == {3: False}
+
+
+def test_new_places_that_name_the_same_parts_leave_the_name_of_a_robot_of_several_devices() -> None:
+    ours = of_two(NAMED)
+    same, others = Places({"r": None}, {"r": NAMED.devices}), Places({"r": None}, {"r": ("arm", "enc")})
+    assert part(ours, 1, HOME, BASE) == ("r", "r")
+    assert (ours.directory.misplaced(same), ours.directory.misplaced(others)) == ({}, {"r": 1})
+    assert ours.directory.misplaced(Places({})) == {}
+    ours.leave(1)
+    assert ours.directory.misplaced(others) == {}  # a part that connects will have it
+    assert ours.directory.misplaced(Places({"r": AWAY})) == {"r": None}

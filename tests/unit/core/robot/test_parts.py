@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.core.robot.model import CommandSettings, Endpoint
+from hostlink.core.robot.model import CommandKind, CommandSettings, Endpoint
 from hostlink.core.robot.parts import parts_of, place_in
 
 MOTORS, WHEELS = "10.0.0.2", "/dev/ttyUSB0"
@@ -59,6 +59,43 @@ def test_robot_that_lacks_a_device_or_has_two_commands_says_so(
     connected: dict[str, list[Endpoint]], why_not: str
 ) -> None:
     assert parts_of("r", BOTH, connected).why_not == why_not
+
+
+LEFT, RIGHT = (Endpoint(f"{side}_motor", "std_msgs/Float32", is_to_device=True) for side in ("left", "right"))
+WHEELS_ON_TWO = BOTH._replace(kind=CommandKind.WHEELS, topics=("left_motor", "right_motor"))
+
+
+@pytest.mark.parametrize(
+    ("settings", "connected", "why_not"),
+    [
+        (
+            WHEELS_ON_TWO,
+            {MOTORS: [LEFT], WHEELS: [RIGHT]},
+            "its command topics must be on one device, and they are on several: "
+            f"left_motor on {MOTORS}, right_motor on {WHEELS}",
+        ),
+        (
+            WHEELS_ON_TWO,
+            {MOTORS: [RANGE], WHEELS: [RIGHT]},
+            "none of its devices takes left_motor, as [robots.r] says",
+        ),
+        (
+            WHEELS_ON_TWO._replace(command_device=MOTORS),
+            {MOTORS: [RANGE], WHEELS: [LEFT, RIGHT]},
+            f"command_device in [robots.r] is {MOTORS}, which takes no velocity",
+        ),
+        (
+            BOTH._replace(command_device=WHEELS),
+            {MOTORS: [COMMAND], WHEELS: [POSE]},
+            f"command_device in [robots.r] is {WHEELS}, which takes no velocity",
+        ),
+        (BOTH._replace(is_spatial=True), {MOTORS: [COMMAND], WHEELS: [POSE]}, "none of its devices takes a velocity"),
+    ],
+)
+def test_robot_whose_command_is_on_no_single_device_says_where_it_is(
+    settings: CommandSettings, connected: dict[str, list[Endpoint]], why_not: str
+) -> None:
+    assert parts_of("r", settings, connected).why_not == why_not
 
 
 def test_settings_choose_the_device_of_two_that_take_a_velocity() -> None:
