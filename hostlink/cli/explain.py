@@ -24,9 +24,9 @@ def warnings(devices: Iterable[Mapping[str, Any]], lock_reason: str | None) -> l
     for device in devices:
         place = _place(device)
         if device["refused"]:
-            lines.append(
-                f"{place} is not {device['settings'] or 'a robot'}: its settings do not fit: {device['refused']}"
-            )
+            is_not = f"is not {device['settings'] or 'a robot'}"
+            what = is_not if device["robot"] is None else f"is the robot {device['robot']}, with its limits"
+            lines.append(f"{place} {what}: its settings do not fit: {device['refused']}")
         if device["unguarded"]:
             topics = ", ".join(each["topic"] for each in device["unguarded"])
             first = given.setdefault(device["suggestion"], place)
@@ -52,6 +52,8 @@ def _of_device(device: Mapping[str, Any]) -> Iterator[str]:
     if device["robot"] is not None:
         yield f"{place} is the robot {device['robot']}: it takes velocities on {commands}"
         yield f"  its name: {device['name_from']}"
+        if device["refused"]:
+            yield f"  its settings do not fit: {device['refused']}"
         known = KNOWN_BY.get(device["feedback"], device["feedback"])
         topics, lacks = ", ".join(named.get("feedback", ())), device["lacks"]
         yield f"  its motion is known by {known}{topics and f', from {topics}'}{lacks and f'; it lacks {lacks}'}"

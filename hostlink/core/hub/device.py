@@ -31,6 +31,7 @@ from hostlink.core.robot.model import (
     Suggestion,
     is_velocity,
     name_of,
+    plain,
     suggest,
     suggestion,
     unguarded,
@@ -284,6 +285,15 @@ class Device:
     def endpoints(self) -> list[Endpoint]:
         """Topics of the last announcement, as the model of robots knows them."""
         return endpoints_of(self.infos)
+
+    @property
+    def stop_service(self) -> str | None:
+        """Service that stops it by the settings, as it announces it; None: they name none."""
+        wanted, kind = self.settings.stop_service, EndpointKind.SERVICE_SERVER_SUBSCRIBER
+        if wanted is None:
+            return None
+        names = (info.name for info in self.infos if info.kind is kind)
+        return next((name for name in names if plain(name) == plain(wanted)), wanted)
 
     @property
     def guarded(self) -> frozenset[str]:

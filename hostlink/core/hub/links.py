@@ -22,8 +22,8 @@ from hostlink.core.link.link import Link
 from hostlink.core.link.serving import Authenticate, LinkEnd, trust
 from hostlink.core.protocol import events
 from hostlink.core.protocol.session import DeviceProtocol
-from hostlink.core.robot.model import CommandSettings, RobotTopicNames, namespace_of
-from hostlink.core.robot.names import Accepted, Directory, Origin, Places, Remembered, Undecided
+from hostlink.core.robot.model import CommandSettings, RobotTopicNames, find_robot, misfit, namespace_of
+from hostlink.core.robot.names import UNNAMED, Accepted, Directory, Origin, Places, Remembered, Undecided
 from hostlink.core.runtime.logs import of_peer, printable
 from hostlink.core.transport.base import Transport
 from hostlink.errors import ConfigError, HostlinkError, ReloadRefused
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 log = structlog.get_logger()
 
 SILENCE_TIMEOUT_S = 0.5  # for the request for silence before a link ends
-UNGUARDED = "unguarded_command"  # code of the finding
+UNGUARDED, REFUSED = "unguarded_command", "settings_refused"  # codes of findings
 MAX_TEXT = 500  # characters of a warning: a device has many topics with long names
 END_S = 0.0005  # CPU time for removing a device from the graph
 DECIDE_INTERVAL_S = 0.05  # a robot sends every 0.1 s
@@ -210,7 +210,7 @@ class Links:
     def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
         service = device.services.get(event.service.name)
         is_answered = service is not None and service.answered(event.payload)
-        if not is_answered and event.service.name != device.settings.stop_service:  # no call waits for those of zeros
+        if not is_answered and event.service.name != device.stop_service:  # no call waits for those of zeros
             self.late_answers += 1
             log.warning("service.late", service=printable(event.service.name))
 
@@ -336,7 +336,7 @@ class Links:
             self._replace(claim.replaces)
         joined = {each.robot for each in (device.member, claim.member) if each is not None}
         device.settings, device.member = claim.settings, claim.member
-        device.refused_settings = ""
+        device.refused_settings = "" if claim.member is not None else misfit(claim.settings, device.endpoints)
         touched, before = device.names, device.robot
         changed = [] if before is None else [before]
         robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
@@ -355,16 +355,23 @@ class Links:
             device.receive(message, read)
 
     def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> LocalRobot | None:
-        """Return the device's robot; None if the settings of its command do not fit the device's topics."""
+        """Return the device's robot; None if the settings of its command do not fit the device's topics.
+
+        A device that is a robot by itself is one with wrong settings, too: with its name, limits, stop and lock.
+        """
         before, robots = device.robot, self._hub.robots
         own = dataclasses.replace(names, name=claim.own_name)
         shown = ShownNames(own, names.name)
         try:
             robot = robots.appear(names.name, own, shown.of_robot(own), device)
         except ConfigError as error:
-            log.warning("robot.settings_refused", robot=names.name, reason=str(error))
             device.refused_settings = str(error)
-            return None
+            by_itself = find_robot(device.endpoints, claim.settings._replace(kind=None, topics=()))
+            if by_itself is None or by_itself.commands == names.commands:
+                return None
+            own = dataclasses.replace(by_itself, name=by_itself.name or UNNAMED)
+            shown = ShownNames(own, names.name)
+            robot = robots.appear(names.name, own, shown.of_robot(own), device)
         self._displace(robot)
         device.announce(device.infos, shown, robot)
         if not claim.is_certain and before is not robot and robot.gate.lock_reason is None:
@@ -406,7 +413,10 @@ class Links:
         """Note for the diagnosis what nothing guards, and which settings do not fit. Log what is new."""
         noted, before = dict[str, str](), device.diagnosis.noted
         if device.refused_settings:
-            noted["settings_refused"] = device.refused_settings
+            noted[REFUSED] = device.refused_settings
+            if noted[REFUSED] != before.get(REFUSED):
+                name = device.robot_name or device.diagnosis.robot
+                log.warning("robot.settings_refused", robot=name, reason=printable(device.refused_settings, MAX_TEXT))
         if device.unguarded:
             topics = ", ".join(f"{device.shown.of(info.name)} ({info.type})" for info in device.unguarded)
             noted[UNGUARDED] = f"{topics}\n{device.suggestion}"

@@ -350,7 +350,11 @@ class Robots:
         """
         config = self._config_of(name, topics.name)
         commands = commands_of(topics.commands, config, kind=topics.kind, frame_id=frames_of(name, config).base)
-        feedback = feedback_of(topics, device.sent_topics, config)
+        try:
+            feedback = feedback_of(topics, device.sent_topics, config)
+        except ConfigError as error:  # no limit depends on them
+            device.refused_settings = str(error)
+            feedback = feedback_of(topics, device.sent_topics, dataclasses.replace(config, encoders=None))
         if device.robot is not None and device.robot.name != name:
             self.vanish(device)
         robot = self._robots.get(name)

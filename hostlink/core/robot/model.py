@@ -5,7 +5,8 @@ device's protocol.
 
 | endpoint to the device                                       | what it is                                            |
 |--------------------------------------------------------------|-------------------------------------------------------|
-| what a robot's settings name as its command                  | the command of that robot                             |
+| what a robot's settings name as its command                  | the command of that robot; while one of these topics  |
+|                                                              | is missing, what is a command by itself               |
 | Twist, TwistStamped with a name that tells of motion;        | a command by itself                                   |
 | AckermannDrive, AckermannDriveStamped                        |                                                       |
 | a number, a text or a Twist whose name tells of motion       | unguarded: a finding says which setting makes a robot |
@@ -13,10 +14,11 @@ device's protocol.
 | everything else                                              | data                                                  |
 """
 
+import difflib
 import itertools
 import json
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -116,7 +118,7 @@ class Role(StrEnum):
 
 
 class CommandSettings(NamedTuple):
-    """Settings of one robot's command. Topics are as the device names them."""
+    """Settings of one robot's command. Topics are as the device names them, with or without a slash in front."""
 
     kind: CommandKind | None = None  # None: it is recognised
     topics: tuple[str, ...] = ()  # that command it; empty: they are recognised
@@ -130,6 +132,62 @@ class CommandSettings(NamedTuple):
 
 
 NO_SETTINGS: Final = CommandSettings()
+_ONE_TOPIC: Final = (CommandKind.JOY, CommandKind.WORDS, CommandKind.VECTOR)
+_MOST_NAMED: Final = 8  # topics of a device, in a sentence
+
+
+def plain(name: str) -> str:
+    """Return a name without the slash in front: boards and people write it with or without one."""
+    return name.lstrip("/")
+
+
+def matched(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> CommandSettings:
+    """Return the settings with the names of topics as this device announces them. Others stay as they are."""
+    taken = [each.name for each in endpoints if each.is_to_device]
+    sent = [each.name for each in endpoints if not each.is_to_device]
+    return settings._replace(
+        topics=tuple(_announced(name, taken) for name in settings.topics),
+        odometry=settings.odometry and _announced(settings.odometry, sent),
+        ignored=_all_announced(settings.ignored, taken),
+        locked=_all_announced(settings.locked, taken),
+    )
+
+
+def _announced(name: str, names: Sequence[str]) -> str:
+    return name if name in names else next((each for each in names if plain(each) == plain(name)), name)
+
+
+def _all_announced(wanted: frozenset[str], names: Sequence[str]) -> frozenset[str]:
+    known = set(map(plain, wanted))
+    return wanted | {name for name in names if plain(name) in known} if known else wanted
+
+
+def has_command(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> bool:
+    """Whether a device has every topic that the settings name as the robot's command."""
+    names = {plain(each.name) for each in endpoints if each.is_to_device}
+    return names.issuperset(map(plain, settings.topics))
+
+
+def misfit(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> str:
+    """Return which topics the settings name as the command and the devices do not announce; empty: none."""
+    taken = {plain(each.name): each for each in endpoints if each.is_to_device}
+    missing = [name for name in settings.topics if plain(name) not in taken]
+    if not missing:
+        return ""
+    key = "command_topic" if settings.kind is None else f"{settings.kind}.topics"
+    if settings.kind in _ONE_TOPIC:
+        key = f"{settings.kind}.topic"
+    shown = [f"{each.name} ({each.type_name})" for each in taken.values()][:_MOST_NAMED]
+    topics = f"its topics are {', '.join(shown)}" if shown else "it takes no topic"
+    return f"{key} names {' and '.join(missing)}, which the board does not announce{nearest(missing, taken)}; {topics}"
+
+
+def nearest(missing: Sequence[str], known: Iterable[str]) -> str:
+    """Return a question after the names that are nearest to missing ones; empty: none is near."""
+    names = sorted({plain(name) for name in known})
+    near = [difflib.get_close_matches(plain(name), names, n=1) for name in missing]
+    found = dict.fromkeys(name for each in near for name in each)
+    return f" (did you mean {' and '.join(found)}?)" if found else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,15 +417,15 @@ def _quoted(text: str) -> str:
 def _commands(endpoints: Sequence[Endpoint], settings: CommandSettings) -> tuple[tuple[TopicType, ...], CommandKind]:
     """Return the command topics of a device, and their kind. Empty: it takes no velocity."""
     to_device = [each for each in endpoints if each.is_to_device]
-    if settings.topics:
-        types = {each.name: each.type_name for each in to_device}
-        found = tuple(TopicType(name, types[name]) for name in settings.topics if name in types)
-        if len(found) < len(settings.topics):
-            return (), CommandKind.TWIST
+    types = {each.name: each.type_name for each in to_device}
+    if settings.topics and types.keys() >= set(settings.topics):
+        found = tuple(TopicType(name, types[name]) for name in settings.topics)
         kind = settings.kind
         if kind is None:
             kind = CommandKind.ACKERMANN if found[0].type_name in ACKERMANN_TYPES else CommandKind.TWIST
         return found, kind
+    if settings.topics and settings.devices:  # another of the robot's devices may have them
+        return (), CommandKind.TWIST
     likely = [each for each in to_device if is_velocity(each, settings.ignored)]
     poses = [each for each in endpoints if _is_pose(each)]
     if not likely and poses:  # what has a pose and takes a Twist is a robot by any name of the Twist
@@ -481,8 +539,10 @@ def _throttle_topics(suspects: Sequence[Endpoint]) -> list[str]:
 
 def select(settings: Mapping[str, CommandSettings], endpoints: Sequence[Endpoint]) -> str | None:
     """Return the robot whose settings name command topics that the device has, all of them; None if there is none."""
-    names = {each.name for each in endpoints if each.is_to_device}
-    return next((name for name, each in settings.items() if each.topics and names.issuperset(each.topics)), None)
+    names = {plain(each.name) for each in endpoints if each.is_to_device}
+    return next(
+        (name for name, each in settings.items() if each.topics and names.issuperset(map(plain, each.topics))), None
+    )
 
 
 # -- names ------------------------------------------------------------------------------------------------------------

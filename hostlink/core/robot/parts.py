@@ -47,8 +47,8 @@ def place_in(devices: Sequence[str], endpoints: Sequence[Endpoint], *, peer: str
     An address with its port precedes the address, and that precedes the name in front of the device's topics.
     """
     names = {namespace[0] for namespace in (namespace_of(each.name) for each in endpoints) if namespace}
-    found = (each for each in (peer, address, *sorted(names)) if each in devices)
-    return next(found, None)
+    exact = (each for each in (peer, address) if each in devices)
+    return next(exact, None) or next((each for each in devices if each.strip("/") in names), None)
 
 
 def takes_velocity(place: str, endpoints: Sequence[Endpoint], settings: CommandSettings) -> bool:

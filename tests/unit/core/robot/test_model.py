@@ -16,6 +16,8 @@ from hostlink.core.robot.model import (
     find_robot,
     is_velocity,
     leaf_of,
+    matched,
+    misfit,
     name_of,
     namespace_of,
     roles,
@@ -97,6 +99,47 @@ def test_a_spatial_command_belongs_to_no_robot() -> None:
 
 
 @pytest.mark.parametrize(
+    ("settings", "endpoints", "text"),
+    [
+        (CommandSettings(), [to("cmd_vel")], ""),
+        (CommandSettings(topics=("/cmd_vel",)), [to("cmd_vel")], ""),
+        (
+            CommandSettings(topics=("cmd_vle",)),
+            [to("cmd_vel"), sent("cmd_vle")],
+            "command_topic names cmd_vle, which the board does not announce (did you mean cmd_vel?); "
+            "its topics are cmd_vel (geometry_msgs/Twist)",
+        ),
+        (
+            CommandSettings(CommandKind.WHEELS, ("/left", "rigth")),
+            [to("left", INT16), to("right", INT16)],
+            "wheels.topics names rigth, which the board does not announce (did you mean right?); "
+            "its topics are left (std_msgs/Int16), right (std_msgs/Int16)",
+        ),
+        (
+            CommandSettings(CommandKind.JOY, ("joy",)),
+            [],
+            "joy.topic names joy, which the board does not announce; it takes no topic",
+        ),
+    ],
+)
+def test_topics_of_the_settings_that_a_board_lacks_are_named_with_the_nearest(
+    settings: CommandSettings, endpoints: list[Endpoint], text: str
+) -> None:
+    assert misfit(settings, endpoints) == text
+
+
+def test_settings_get_the_names_that_the_board_announces() -> None:
+    settings = CommandSettings(
+        topics=("/go", "b"), odometry="/odom", ignored=frozenset({"/x"}), locked=frozenset({"arm", "none"})
+    )
+    endpoints = [to("go"), to("b"), to("/b"), to("x"), to("/arm"), sent("odom"), sent("/none")]
+    ours = matched(settings, endpoints)
+    assert (ours.topics, ours.odometry) == (("go", "b"), "odom")
+    assert (ours.ignored, ours.locked) == ({"/x", "x"}, {"arm", "/arm", "none"})
+    assert matched(CommandSettings(odometry=""), endpoints) == CommandSettings(odometry="")
+
+
+@pytest.mark.parametrize(
     ("settings", "topics", "kind"),
     [
         (CommandSettings(topics=("go",)), ("go",), CommandKind.TWIST),
@@ -111,9 +154,14 @@ def test_settings_name_the_command(settings: CommandSettings, topics: tuple[str,
     assert (tuple(each.name for each in robot.commands), robot.kind) == (topics, kind)
 
 
-def test_settings_whose_topics_the_device_lacks_make_no_robot() -> None:
+def test_settings_whose_topics_the_device_lacks_leave_it_what_it_is_by_itself() -> None:
     settings = CommandSettings(CommandKind.WHEELS, ("left", "right"))
-    assert find_robot([to("left", INT16), sent("right", INT16), to("cmd_vel")], settings) is None
+    wheels = [to("left", INT16), sent("right", INT16)]
+    assert find_robot(wheels, settings) is None
+    robot = found(*wheels, to("cmd_vel"), settings=settings)
+    assert (robot.velocity, robot.kind) == ("cmd_vel", CommandKind.TWIST)
+    of_several = settings._replace(devices=("here", "there"))  # another board may have the wheels
+    assert find_robot([*wheels, to("cmd_vel")], of_several) is None
 
 
 def test_select_returns_the_settings_whose_topics_the_device_has() -> None:

@@ -1,0 +1,117 @@
+"""Wrong settings of a board that is a robot by itself: they never take its name, limits, stop and lock away."""
+
+import asyncio
+import re
+import struct
+
+import pytest
+
+from hostlink.core.config import Config, EncodersConfig, JoyConfig, RobotConfig, WheelsConfig, WordsConfig
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.robot.velocity import TWIST_TYPE
+from hostlink.errors import CommandRefused
+from tests.support.fake_device import topic
+from tests.support.memory_hub import SETTLED_S, MemoryHub, in_hub
+from tests.support.participants import publish
+
+TWIST, HOME = 100, "10.0.0.2"
+FAST = struct.pack("<6d", 50, 0, 0, 0, 0, 0)
+JOINT, FLOAT, INT, TEXT = "sensor_msgs/JointState", "std_msgs/Float32", "std_msgs/Int32", "std_msgs/String"
+
+
+def to(number: int, name: str, type_name: str = TWIST_TYPE, buffer_bytes: int = 512) -> DeviceEndpoint:
+    return topic(EndpointKind.SUBSCRIBER, TWIST + number, name, type_name, buffer_bytes=buffer_bytes)
+
+
+def sent(number: int, name: str, type_name: str = INT) -> DeviceEndpoint:
+    return topic(EndpointKind.PUBLISHER, 125 + number, name, type_name)
+
+
+def slow(**settings: object) -> RobotConfig:
+    """Settings of a robot at HOME that must not be faster than 0.2 m/s."""
+    return RobotConfig(address=HOME, max_linear_m_s=0.2, **settings)
+
+
+def words(topic_name: str = "c", stop: str = "S") -> WordsConfig:
+    return WordsConfig(topic=topic_name, forward="F", backward="B", left="L", right="R", stop=stop)
+
+
+WHEELS = {"kinematics": "differential", "wheel_separation_m": 0.2}
+ENCODERS = EncodersConfig(
+    topics=("lt", "rt"), wheels=("front_left", "right"), unit="ticks", ticks_per_turn=1000, wheel_radius_m=0.05
+)
+WRONG = {
+    "typo": (slow(command_topic="cmd_vle"), [], "command_topic names cmd_vle, .* \\(did you mean cmd_vel\\?\\)"),
+    "wheels": (
+        slow(**WHEELS, wheels=WheelsConfig(topics=("l", "rr"))),
+        [to(1, "l", FLOAT), to(2, "r", FLOAT)],
+        "wheels.topics names rr, which the board does not announce \\(did you mean r\\?\\)",
+    ),
+    "joy": (slow(joy=JoyConfig(topic="jjoy")), [to(1, "joy", "sensor_msgs/Joy")], "joy.topic names jjoy, .*mean joy"),
+    "type of a wheel": (
+        slow(**WHEELS, wheels=WheelsConfig(topics=("l", "r"))),
+        [to(1, "l", FLOAT), to(2, "r", TEXT)],
+        "std_msgs/String is not a number",
+    ),
+    "type of words": (slow(words=words()), [to(1, "c", "std_msgs/Int16")], "'F' is not a value of std_msgs/Int16"),
+    "encoders": (slow(**WHEELS, encoders=ENCODERS), [sent(0, "lt"), sent(1, "rt")], "not a wheel of this drive"),
+}
+
+
+@pytest.mark.parametrize(("config", "others", "problem"), WRONG.values(), ids=WRONG)
+def test_board_that_is_a_robot_by_itself_is_one_with_its_name_and_limits(
+    config: RobotConfig, others: list[DeviceEndpoint], problem: str
+) -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect([to(0, "cmd_vel"), *others])
+        robot = made.robot("slow")
+        assert robot.shown.velocity == "/slow/cmd_vel"  # two such boards share no topic
+        publish(made.hub, robot.shown.velocity, FAST, type_name=TWIST_TYPE)
+        await asyncio.sleep(SETTLED_S)
+        heard = [struct.unpack("<6d", payload)[0] for payload in device.payloads(TWIST)]
+        assert max(heard) == pytest.approx(0.2)
+        robot.lock("a foot")
+        with pytest.raises(CommandRefused, match="locked: a foot"):
+            publish(made.hub, robot.shown.velocity, FAST, type_name=TWIST_TYPE)
+        await asyncio.sleep(SETTLED_S)
+        assert device.payloads(TWIST)[-1] == bytes(48)
+        (refused,) = made.logged("robot.settings_refused")
+        assert refused["robot"] == "slow"
+        (number,) = made.hub.robots.devices
+        noted = made.hub.robots.devices[number].diagnosis.noted["settings_refused"]
+        assert re.search(problem, noted), noted
+
+    in_hub(test, Config(robots={"slow": config}))
+
+
+@pytest.mark.parametrize(
+    ("config", "infos"),
+    [
+        (slow(command_topic="/drive_it"), [to(0, "drive_it")]),
+        (slow(command_topic="drive_it"), [to(0, "/drive_it")]),
+        (slow(**WHEELS, wheels=WheelsConfig(topics=("/l", "r"))), [to(0, "l", FLOAT), to(1, "/r", FLOAT)]),
+        (slow(words=words("/c")), [to(0, "c", TEXT)]),
+    ],
+)
+def test_names_of_topics_fit_with_or_without_a_slash_in_front(config: RobotConfig, infos: list[DeviceEndpoint]) -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect(infos)
+        robot = made.robot("slow")
+        assert [topic.name for topic in robot.topics.commands] == [info.name for info in infos]
+        assert not made.logged("robot.settings_refused")
+
+    in_hub(test, Config(robots={"slow": config}))
+
+
+def test_lock_refuses_a_topic_that_the_settings_name_with_a_slash_and_a_topic_may_command_nothing() -> None:
+    config = slow(locked_topics=("/gripper",), not_commands=("/arm/cmd_vel",))
+
+    async def test(made: MemoryHub) -> None:
+        await made.connect([to(0, "cmd_vel"), to(1, "gripper", "std_msgs/Int16"), to(2, "arm/cmd_vel")])
+        robot = made.robot("slow")
+        assert len(robot.beside) == 1
+        robot.lock("a foot")
+        with pytest.raises(CommandRefused, match="locked: a foot"):
+            publish(made.hub, "/slow/gripper", bytes(2), type_name="std_msgs/Int16")
+
+    in_hub(test, Config(robots={"slow": config}))
