@@ -24,8 +24,11 @@ def warnings(devices: Iterable[Mapping[str, Any]], lock_reason: str | None) -> l
     for device in devices:
         place = _place(device)
         if device["refused"]:
-            is_not = f"is not {device['settings'] or 'a robot'}"
-            what = is_not if device["robot"] is None else f"is the robot {device['robot']}, with its limits"
+            what = f"is not {device['settings'] or 'a robot'}"
+            if device["robot"] is not None:
+                what = f"is the robot {device['robot']}, with its limits"
+            elif device.get("part_of") is not None:
+                what = f"is a part of the robot {device['part_of']}"
             lines.append(f"{place} {what}: its settings do not fit: {device['refused']}")
         if device["unguarded"]:
             topics = ", ".join(each["topic"] for each in device["unguarded"])
@@ -58,10 +61,12 @@ def _of_device(device: Mapping[str, Any]) -> Iterator[str]:
         topics, lacks = ", ".join(named.get("feedback", ())), device["lacks"]
         yield f"  its motion is known by {known}{topics and f', from {topics}'}{lacks and f'; it lacks {lacks}'}"
         yield from _velocities("further velocity topics, with the robot's lease, limits and lock", named)
-    elif device["refused"]:
+    elif device["refused"] and device.get("part_of") is None:
         yield f"{place} is not a robot: the settings do not fit its topics: {device['refused']}"
     elif device.get("part_of") is not None:  # an older daemon does not say it
         yield f"{place} is a part of the robot {device['part_of']}, which takes its velocities on another device"
+        if device["refused"]:
+            yield f"  its settings do not fit: {device['refused']}"
         if named.get("feedback"):
             yield f"  the robot's motion is known by {', '.join(named['feedback'])}"
         yield from _velocities(

@@ -22,7 +22,7 @@ from hostlink.core.link.link import Link
 from hostlink.core.link.serving import Authenticate, LinkEnd, trust
 from hostlink.core.protocol import events
 from hostlink.core.protocol.session import DeviceProtocol
-from hostlink.core.robot.model import CommandSettings, RobotTopicNames, find_robot, misfit, namespace_of
+from hostlink.core.robot.model import CommandSettings, RobotTopicNames, find_robot, misfit, namespace_of, unannounced
 from hostlink.core.robot.names import UNNAMED, Accepted, Directory, Origin, Places, Remembered, Undecided
 from hostlink.core.runtime.logs import of_peer, printable
 from hostlink.core.transport.base import Transport
@@ -336,7 +336,7 @@ class Links:
             self._replace(claim.replaces)
         joined = {each.robot for each in (device.member, claim.member) if each is not None}
         device.settings, device.member = claim.settings, claim.member
-        device.refused_settings = "" if claim.member is not None else misfit(claim.settings, device.endpoints)
+        device.refused_settings = ""
         touched, before = device.names, device.robot
         changed = [] if before is None else [before]
         robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
@@ -347,12 +347,24 @@ class Links:
             changed.append(robot)
         device.is_undecided = False
         changed += self._regroup(joined)
+        device.refused_settings = self._misfit(device, claim)
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         self.on_named()
         self._log_unguarded(device)
         for message, read in device.early.pop_all():
             device.receive(message, read)
+
+    def _misfit(self, device: Device, claim: Accepted) -> str:
+        """Return what does not fit in the settings of a robot, now that its device is accepted; empty: nothing."""
+        settings, boards = claim.settings, self._hub.robots.beside(device)
+        if device.diagnosis.is_played:
+            return device.refused_settings
+        endpoints = [each for board in boards for each in board.endpoints]
+        services = [name for board in boards for name in board.services]
+        others = unannounced(settings, endpoints, services) if boards else ""
+        problems = (device.refused_settings, misfit(settings, endpoints) if boards else "", others)
+        return "; ".join(filter(None, problems))
 
     def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> LocalRobot | None:
         """Return the device's robot; None if the settings of its command do not fit the device's topics.

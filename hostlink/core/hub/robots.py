@@ -438,6 +438,18 @@ class Robots:
                     self._gates.lock([drivable], reason, by=robot.admission.locked_by)
         return robot
 
+    def beside(self, device: Device) -> list[Device]:
+        """Return all devices of the robot of this one; none while one of several is not connected."""
+        if device.member is None:
+            return [device]
+        config = self.config_of(device.member.robot)
+        found = [
+            each
+            for each in self.devices.values()
+            if each.member is not None and each.member.robot == device.member.robot and not each.is_undecided
+        ]
+        return found if {each.member.place for each in found if each.member} >= set(config.devices or ()) else []
+
     def _note_parts(
         self, robot: LocalRobot, parts: tuple[Device, ...], links: dict[tuple[str, str], Link] | None
     ) -> None:

@@ -182,6 +182,24 @@ def misfit(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> str:
     return f"{key} names {' and '.join(missing)}, which the board does not announce{nearest(missing, taken)}; {topics}"
 
 
+def unannounced(settings: CommandSettings, endpoints: Sequence[Endpoint], services: Collection[str]) -> str:
+    """Return which other names of the settings no device of the robot announces; empty: none."""
+    taken = [each.name for each in endpoints if each.is_to_device]
+    sent = [each.name for each in endpoints if not each.is_to_device]
+    lines = []
+    for key, wanted, known in (
+        ("locked_topics", sorted(settings.locked), taken),
+        ("not_commands", sorted(settings.ignored), taken),
+        ("feedback.topic", [settings.odometry or ""], sent),
+        ("stop_service", [settings.stop_service or ""], services),
+    ):
+        missing = [name for name in wanted if name and plain(name) not in set(map(plain, known))]
+        if missing:
+            text = f"{key} names {' and '.join(missing)}, which the board does not announce{nearest(missing, known)}"
+            lines.append(text)
+    return "; ".join(lines)
+
+
 def nearest(missing: Sequence[str], known: Iterable[str]) -> str:
     """Return a question after the names that are nearest to missing ones; empty: none is near."""
     names = sorted({plain(name) for name in known})

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hostlink.core.robot.feedback import recognised
-from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, namespace_of
+from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, misfit, namespace_of
 
 
 class Membership(NamedTuple):
@@ -71,7 +71,8 @@ def parts_of(name: str, settings: CommandSettings, connected: Mapping[str, Seque
         verb = "is" if len(missing) == 1 else "are"
         why_not = f"its device {' and '.join(missing)} {verb} not connected"
     elif command is None:
-        why_not = "none of its devices takes a velocity"
+        every = [each for endpoints in connected.values() for each in endpoints]
+        why_not = misfit(settings, every) or "none of its devices takes a velocity"
     order = sorted(settings.devices, key=lambda place: place == command)  # stable
     feedback = tuple((place, each) for place in order for each in connected.get(place, ()) if not each.is_to_device)
     return Parts(command, why_not, feedback)

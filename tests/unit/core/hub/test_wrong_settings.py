@@ -6,11 +6,19 @@ import struct
 
 import pytest
 
-from hostlink.core.config import Config, EncodersConfig, JoyConfig, RobotConfig, WheelsConfig, WordsConfig
+from hostlink.core.config import (
+    Config,
+    EncodersConfig,
+    FeedbackConfig,
+    JoyConfig,
+    RobotConfig,
+    WheelsConfig,
+    WordsConfig,
+)
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.robot.velocity import TWIST_TYPE
 from hostlink.errors import CommandRefused
-from tests.support.fake_device import topic
+from tests.support.fake_device import service_server, topic
 from tests.support.memory_hub import SETTLED_S, MemoryHub, in_hub
 from tests.support.participants import publish
 
@@ -113,5 +121,48 @@ def test_lock_refuses_a_topic_that_the_settings_name_with_a_slash_and_a_topic_ma
         robot.lock("a foot")
         with pytest.raises(CommandRefused, match="locked: a foot"):
             publish(made.hub, "/slow/gripper", bytes(2), type_name="std_msgs/Int16")
+
+    in_hub(test, Config(robots={"slow": config}))
+
+
+@pytest.mark.parametrize(
+    ("config", "problem"),
+    [
+        (
+            slow(locked_topics=("grippper",)),
+            "locked_topics names grippper, which the board does not announce (did you mean gripper?)",
+        ),
+        (
+            slow(not_commands=("arm/cmdvel",)),
+            "not_commands names arm/cmdvel, which the board does not announce (did you mean arm/cmd_vel?)",
+        ),
+        (
+            slow(feedback=FeedbackConfig(topic="ododm")),
+            "feedback.topic names ododm, which the board does not announce (did you mean odom?)",
+        ),
+        (
+            slow(stop_service="halt_it"),
+            "stop_service names halt_it, which the board does not announce (did you mean halt?)",
+        ),
+        (
+            RobotConfig(devices=(HOME,), command_topic="cmd_vle"),
+            "command_topic names cmd_vle, which the board does not announce (did you mean cmd_vel?); its topics are "
+            "cmd_vel (geometry_msgs/Twist), gripper (std_msgs/Int16), arm/cmd_vel (geometry_msgs/Twist)",
+        ),
+        (slow(locked_topics=("/gripper",), not_commands=("/arm/cmd_vel",), stop_service="/halt"), None),
+        (RobotConfig(devices=(HOME, "10.0.0.3"), locked_topics=("lamp",)), None),  # the other board may have it
+    ],
+)
+def test_name_in_the_settings_that_no_board_of_the_robot_announces_is_a_finding(
+    config: RobotConfig, problem: str | None
+) -> None:
+    infos = [to(0, "cmd_vel"), to(1, "gripper", "std_msgs/Int16"), to(2, "arm/cmd_vel")]
+    infos += [sent(0, "odom", "nav_msgs/Odometry"), *service_server("halt", "std_srvs/Empty", 126, 110)]
+
+    async def test(made: MemoryHub) -> None:
+        await made.connect(infos)
+        (device,) = made.hub.robots.devices.values()
+        assert device.diagnosis.noted.get("settings_refused") == problem
+        assert len(made.logged("robot.settings_refused")) == (problem is not None)
 
     in_hub(test, Config(robots={"slow": config}))

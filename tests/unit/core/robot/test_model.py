@@ -24,6 +24,7 @@ from hostlink.core.robot.model import (
     select,
     suggest,
     suggestion,
+    unannounced,
     unguarded,
 )
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
@@ -126,6 +127,20 @@ def test_topics_of_the_settings_that_a_board_lacks_are_named_with_the_nearest(
     settings: CommandSettings, endpoints: list[Endpoint], text: str
 ) -> None:
     assert misfit(settings, endpoints) == text
+
+
+def test_other_names_of_the_settings_that_no_board_announces_are_named_with_the_nearest() -> None:
+    settings = CommandSettings(
+        odometry="ododm", ignored=frozenset({"x", "/led"}), locked=frozenset({"grippper", "/arm"}), stop_service="hlt"
+    )
+    endpoints = [to("gripper"), to("arm"), to("led"), sent("odom")]
+    assert unannounced(settings, endpoints, ["halt"]) == (
+        "locked_topics names grippper, which the board does not announce (did you mean gripper?); "
+        "not_commands names x, which the board does not announce; "
+        "feedback.topic names ododm, which the board does not announce (did you mean odom?); "
+        "stop_service names hlt, which the board does not announce (did you mean halt?)"
+    )
+    assert unannounced(CommandSettings(odometry=""), endpoints, []) == ""
 
 
 def test_settings_get_the_names_that_the_board_announces() -> None:
