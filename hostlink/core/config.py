@@ -232,6 +232,8 @@ class WheelsConfig:
             )
         if len(set(self.topics)) < len(self.topics):
             raise ValueError("wheels.topics names one topic twice")
+        if len("".join(self.joints).encode()) > MAX_WORD_BYTES:
+            raise ValueError(f"the names in wheels.joints have more than {MAX_WORD_BYTES} bytes: shorten them")
         if self.unit == "ticks_s" and self.ticks_per_turn <= 0:
             raise ValueError('wheels.unit "ticks_s" needs ticks_per_turn above zero')
         if not all(abs(each) == 1 for each in self.directions):
@@ -375,6 +377,9 @@ class WordsConfig:
         if self.stop in (self.forward, self.backward, self.left, self.right):
             raise ValueError(f"words.stop must differ from the words that move the robot: {self.stop!r}")
         _check_different("word", {name: getattr(self, name) for name in _DIRECTIONS}, "words")
+        for name in (*_DIRECTIONS, "stop"):
+            if len(getattr(self, name).encode()) > MAX_WORD_BYTES:
+                raise ValueError(f"words.{name} has more than {MAX_WORD_BYTES} bytes: shorten it")
 
 
 def _check_different(what: str, settings: dict[str, Any], where: str) -> None:
@@ -395,6 +400,7 @@ _DIRECTIONS = ("forward", "backward", "left", "right")
 _JOY_AXES = ("x_axis", "y_axis", "yaw_axis")
 _COMPONENTS = 3  # of a Vector3
 MAX_WHEELS = 8
+MAX_WORD_BYTES = 1024  # a stop of the guardian has four times as many, and a board takes 512 by default
 MAX_JOY = 64  # axes and buttons of a Joy
 MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
 

@@ -33,13 +33,13 @@ from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import EPOCH_BITS, Admission, EarlierCommands
 from hostlink.core.robot.command_types import CommandType, TopicType
 from hostlink.core.robot.feedback import Feedback
-from hostlink.core.robot.model import RobotTopicNames
+from hostlink.core.robot.model import CommandKind, RobotTopicNames
 from hostlink.core.robot.odometry import OdometryEstimator
 from hostlink.core.robot.parts import Parts, parts_of
 from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.core.robot.velocity_gate import VelocityGate
 from hostlink.core.runtime.loop_time import loop_time_s
-from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
+from hostlink.errors import ConfigError, FrameTooLarge, HostlinkError, UnknownTopic
 
 if TYPE_CHECKING:
     from hostlink.core.hub.hub import Hub
@@ -350,6 +350,7 @@ class Robots:
         """
         config = self._config_of(name, topics.name)
         commands = commands_of(topics.commands, config, kind=topics.kind, frame_id=frames_of(name, config).base)
+        _check_zeros(commands, topics.kind, device)
         try:
             feedback = feedback_of(topics, device.sent_topics, config)
         except ConfigError as error:  # no limit depends on them
@@ -598,6 +599,23 @@ class Robots:
             self._gates.events.note(EventKind.FORGOTTEN, name)
             self._hub.links.forget_robot(robot)
             self._hub.note_robot(name)
+
+
+def _check_zeros(commands: CommandType, kind: CommandKind, device: Device) -> None:
+    """Check that the device takes what stops it: a word that drives it may be shorter.
+
+    Raises:
+        ConfigError: it does not. A Twist is not checked: a device that takes no zero takes no other, either.
+    """
+    if kind in (CommandKind.TWIST, CommandKind.ACKERMANN):
+        return
+    for topic, zero in zip(commands.topics, commands.encode(ZERO), strict=True):
+        try:
+            device.link.session.endpoint_of(topic.name, zero)
+        except FrameTooLarge as error:
+            raise ConfigError(kind, f"what stops it does not fit the board: {error}") from error
+        except HostlinkError:  # the topic was refused: nothing drives it
+            continue
 
 
 def _configure(robot: LocalRobot) -> None:

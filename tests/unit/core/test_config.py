@@ -189,6 +189,14 @@ def test_encoders_that_are_wrong_are_refused_with_their_reason(tmp_path: Path, l
             'words = {topic="c", forward="F", backward="B", left="L", right="B", stop="S"}',
             "words.backward and words.right are one word, 'B': give each its own",
         ),
+        (
+            f'words = {{topic="c", forward="F", backward="B", left="L", right="R", stop="{"S" * 1025}"}}',
+            "words.stop has more than 1024 bytes: shorten it",
+        ),
+        (
+            f'wheels = {{topics=["m"], unit="rad_s", joints=["l", "{"r" * 1024}"]}}',
+            "the names in wheels.joints have more than 1024 bytes: shorten them",
+        ),
         ('wheels = {topics=["m", "m"], unit="pwm"}', "names one topic twice"),
         (
             'command_topic = "foo"\nnot_commands = ["bar", "foo"]',

@@ -24,7 +24,7 @@ from tests.support.participants import publish
 
 TWIST, HOME = 100, "10.0.0.2"
 FAST = struct.pack("<6d", 50, 0, 0, 0, 0, 0)
-JOINT, FLOAT, INT, TEXT = "sensor_msgs/JointState", "std_msgs/Float32", "std_msgs/Int32", "std_msgs/String"
+JOY, FLOAT, INT, TEXT = "sensor_msgs/Joy", "std_msgs/Float32", "std_msgs/Int32", "std_msgs/String"
 
 
 def to(number: int, name: str, type_name: str = TWIST_TYPE, buffer_bytes: int = 512) -> DeviceEndpoint:
@@ -55,7 +55,7 @@ WRONG = {
         [to(1, "l", FLOAT), to(2, "r", FLOAT)],
         "wheels.topics names rr, which the board does not announce \\(did you mean r\\?\\)",
     ),
-    "joy": (slow(joy=JoyConfig(topic="jjoy")), [to(1, "joy", "sensor_msgs/Joy")], "joy.topic names jjoy, .*mean joy"),
+    "joy": (slow(joy=JoyConfig(topic="jjoy")), [to(1, "joy", JOY)], "joy.topic names jjoy, .*mean joy"),
     "type of a wheel": (
         slow(**WHEELS, wheels=WheelsConfig(topics=("l", "r"))),
         [to(1, "l", FLOAT), to(2, "r", TEXT)],
@@ -164,5 +164,31 @@ def test_name_in_the_settings_that_no_board_of_the_robot_announces_is_a_finding(
         (device,) = made.hub.robots.devices.values()
         assert device.diagnosis.noted.get("settings_refused") == problem
         assert len(made.logged("robot.settings_refused")) == (problem is not None)
+
+    in_hub(test, Config(robots={"slow": config}))
+
+
+@pytest.mark.parametrize(
+    ("config", "type_name"),
+    [(slow(words=words(stop="S" * 600)), TEXT), (slow(joy=JoyConfig(topic="c", axes=63, buttons=63)), JOY)],
+)
+def test_command_whose_stop_does_not_fit_the_board_drives_nothing_and_is_named(
+    config: RobotConfig, type_name: str
+) -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect([to(0, "c", type_name)])
+        assert made.hub.robots.here() == []
+        (refused,) = made.logged("robot.settings_refused")
+        assert re.search(
+            r"what stops it does not fit the board: c: frame of \d+ bytes, the device takes 512", refused["reason"]
+        )
+        await device.aclose()
+        await asyncio.sleep(SETTLED_S)
+        by_itself = await made.connect([to(0, "c", type_name), to(1, "cmd_vel")])
+        robot = made.robot("slow")
+        publish(made.hub, robot.shown.velocity, FAST, type_name=TWIST_TYPE)
+        await asyncio.sleep(SETTLED_S)
+        assert max(struct.unpack("<6d", each)[0] for each in by_itself.payloads(TWIST + 1)) == pytest.approx(0.2)
+        assert by_itself.payloads(TWIST) == []
 
     in_hub(test, Config(robots={"slow": config}))
