@@ -192,3 +192,22 @@ def test_command_whose_stop_does_not_fit_the_board_drives_nothing_and_is_named(
         assert by_itself.payloads(TWIST) == []
 
     in_hub(test, Config(robots={"slow": config}))
+
+
+@pytest.mark.parametrize(
+    ("wheels", "type_name"),
+    [
+        (WheelsConfig(topics=("l", "r"), unit="pwm", full=500, rest=1500), "std_msgs/UInt8"),
+        (WheelsConfig(topics=("l", "r"), unit="pwm", full=255), "std_msgs/Int8"),
+        (WheelsConfig(topics=("l", "r"), unit="m_s"), "std_msgs/Int16"),
+    ],
+)
+def test_wheels_whose_type_cannot_hold_the_numbers_are_sent_none(wheels: WheelsConfig, type_name: str) -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect([to(0, "l", type_name), to(1, "r", type_name)])
+        await asyncio.sleep(1.0)
+        assert (made.hub.robots.here(), device.payloads(TWIST), device.payloads(TWIST + 1)) == ([], [], [])
+        (refused,) = made.logged("robot.settings_refused")
+        assert refused["robot"] == "slow"
+
+    in_hub(test, Config(robots={"slow": slow(**WHEELS, wheels=wheels)}))
