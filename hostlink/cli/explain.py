@@ -32,6 +32,9 @@ def warnings(devices: Iterable[Mapping[str, Any]], lock_reason: str | None) -> l
             lines.append(f"{place} {what}: its settings do not fit: {device['refused']}")
         if device["unguarded"]:
             topics = ", ".join(each["topic"] for each in device["unguarded"])
+            if not device["suggestion"]:
+                lines.append(f"nothing guards {topics} of {place}")
+                continue
             first = given.setdefault(device["suggestion"], place)
             if first != place:
                 lines.append(f"nothing guards {topics} of {place}; the lines of {first} are for it, too")
@@ -107,5 +110,5 @@ def _advice(device: Mapping[str, Any], given: dict[str, str]) -> Iterator[str]:
         return
     is_there = device["suggestion"].startswith(f"[robots.{device['settings']}]\n")
     place = f"the table [robots.{device['settings']}] of hostlink.toml" if is_there else "hostlink.toml"
-    yield f"  to change that, put these lines into {place}, and run `hostlink reload`:"
+    yield f"  to change that, put these lines into {place}, and restart hostlink:"
     yield from (f"    {line}" for line in device["suggestion"].splitlines())

@@ -13,7 +13,7 @@ from hostlink.core.config import RobotConfig
 from hostlink.core.hub.diagnoses import Diagnosis
 from hostlink.core.hub.gates import Drivable, Echo, LostEndpoint
 from hostlink.core.hub.message import Message
-from hostlink.core.hub.robot import LocalRobot, commands_of, limits_of
+from hostlink.core.hub.robot import LocalRobot, command_settings, commands_of, limits_of
 from hostlink.core.hub.services import DeviceService
 from hostlink.core.hub.topic import DeviceSubscription, Subscriber, Topic
 from hostlink.core.hub.topic_graph import resolve
@@ -350,6 +350,11 @@ class Device:
             for each in robots.devices.values()
             if each is not self and each.suggested is not None
         }
+        name = self._hub.links.origin_of(self)[1]
+        if name is not None and robots.is_free(name) and name not in others:  # its table gets the lines
+            if command_settings(robots.config_of(name)).topics:
+                return None  # it has a command: what does not fit in it is a finding
+            return Suggestion(name, self.link.address, suggestion(suspects, name, "", is_configured=True))
         others |= dict.fromkeys(robots.taken_names())
         name = name_of(suspects[0].name) or "my_robot"
         return suggest(suspects, name, self.link.address, self.link.peer, others)

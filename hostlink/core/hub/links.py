@@ -431,13 +431,11 @@ class Links:
                 log.warning("robot.settings_refused", robot=name, reason=printable(device.refused_settings, MAX_TEXT))
         if device.unguarded:
             topics = ", ".join(f"{device.shown.of(info.name)} ({info.type})" for info in device.unguarded)
-            noted[UNGUARDED] = f"{topics}\n{device.suggestion}"
+            noted[UNGUARDED] = f"{topics}\n{device.suggestion}".strip()
             if noted[UNGUARDED] != before.get(UNGUARDED):
-                log.warning(
-                    "device.unguarded_command",
-                    topics=printable(topics, MAX_TEXT),
-                    advice=f"in hostlink.toml: {printable(device.suggestion, MAX_TEXT)}",
-                )
+                lines = device.suggestion
+                advice = f"in hostlink.toml: {printable(lines, MAX_TEXT)}" if lines else "correct its settings"
+                log.warning("device.unguarded_command", topics=printable(topics, MAX_TEXT), advice=advice)
         device.diagnosis.noted = noted
 
     def origin_of(self, device: Device) -> tuple[str, str | None]:

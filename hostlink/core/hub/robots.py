@@ -214,6 +214,11 @@ class Robots:
         """Return the names that no other device should be given: of configured and of connected robots."""
         return {*self._configs, *(robot.name for robot in self._robots.values() if robot.connection is not None)}
 
+    def is_free(self, name: str) -> bool:
+        """Whether no device is the robot of this name."""
+        robot = self._robots.get(name)
+        return robot is None or robot.connection is None
+
     def is_known(self, robot: AnyRobot) -> bool:
         """Whether a robot is not forgotten."""
         return robot in (self._robots.get(robot.name), self.remote.get(robot.name))

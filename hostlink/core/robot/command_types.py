@@ -189,7 +189,7 @@ def _check_numbers(setting: str, topic: TopicType, scale: WheelScale) -> None:
     if code not in _WHOLE:
         return
     if scale.rest != round(scale.rest):
-        raise ConfigError(setting, f"rest = {scale.rest:g} is no value of {topic.type_name}: choose a whole number")
+        raise ConfigError(setting, f"{topic.type_name} cannot hold rest = {scale.rest:g}: choose a whole number")
     if math.isinf(scale.highest) and 0 < reach < _FEWEST_STEPS:  # by a unit; `full` is chosen by a person
         raise ConfigError(
             setting,

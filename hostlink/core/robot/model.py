@@ -77,11 +77,13 @@ _STEERING: Final = re.compile(r"steer", re.IGNORECASE)
 _THROTTLE: Final = re.compile(r"throttle|speed|motor|pwm|drive|vel", re.IGNORECASE)
 # What a number of wheels needs besides its topics, in a suggestion.
 _WHEELS_NEED: Final = {
-    1: "",
-    2: "",
-    3: 'kinematics = "omni3"\nwheel_distance_m = 0.1\n',
-    4: 'kinematics = "skid_steer"\n',
+    1: (),
+    2: (),
+    3: ('kinematics = "omni3"', "wheel_distance_m = 0.1"),
+    4: ('kinematics = "skid_steer"',),
 }
+_UNSIGNED: Final = "std_msgs/UInt"
+_SHORT: Final = "std_msgs/Int8"  # holds at most 127
 
 
 class Endpoint(NamedTuple):
@@ -387,41 +389,55 @@ def suggest(
         chosen = f"{name}_{number}"
 
 
-def suggestion(suspects: Sequence[Endpoint], name: str, address: str, *, is_robot: bool = False) -> str:
+def suggestion(
+    suspects: Sequence[Endpoint], name: str, address: str, *, is_robot: bool = False, is_configured: bool = False
+) -> str:
     """Return lines of hostlink.toml that make a robot of a device with these unguarded endpoints.
 
     `name` and `address` are the robot's. A type that hostlink cannot encode is refused by a lock at least, and so are
-    the topics of a device that is a robot already.
+    the topics of a device that is a robot already. `is_configured`: the file has a table of this name.
     """
-    topics = ", ".join(_quoted(each.name) for each in suspects)
-    if is_robot:
-        key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
-        return f"[robots.{key}]\nlocked_topics = [{topics}]"
-    address_line = f"[robots.{name}]\naddress = {_quoted(address)}\n"
+    table, keys = _suggested(suspects, is_robot=is_robot)
+    key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
+    if not (is_robot or is_configured):
+        keys = [f"address = {_quoted(address)}", *keys]
+    lines = [f"[robots.{key}]", *keys] if keys else []
+    if table:
+        lines += [f"[robots.{key}.{table[0]}]", *table[1:]]
+    return "\n".join(lines)
+
+
+def _suggested(suspects: Sequence[Endpoint], *, is_robot: bool) -> tuple[list[str], list[str]]:
+    """Return the name and the lines of the table that makes a robot of these endpoints, and lines of the robot's own.
+
+    The number at rest of a motor that takes no number below zero is not known: such a motor would turn at once.
+    """
     by_type: dict[str, list[str]] = {}
-    for each in suspects:
+    for each in () if is_robot else suspects:
         by_type.setdefault(each.type_name, []).append(each.name)
     for type_name, names in by_type.items():
-        first = names[0]
+        first = _quoted(names[0])
+        is_number = type_name in NUMBER_TYPES
         if type_name in _TWISTS:
-            return f"{address_line}command_topic = {_quoted(first)}"
+            return [], [f"command_topic = {first}"]
         if type_name == VECTOR_TYPE:
-            return f'{address_line}[robots.{name}.vector]\ntopic = {_quoted(first)}\nfields = ["x", "y", "yaw"]'
-        throttle = _throttle_topics(suspects) if type_name in NUMBER_TYPES else []
-        if throttle:
-            listed = ", ".join(map(_quoted, throttle))
-            return f'{address_line}[robots.{name}.throttle]\ntopics = [{listed}]\nunit = "pwm"'
-        wheels = [first] if type_name in ARRAY_TYPES else _wheel_topics(suspects) if type_name in NUMBER_TYPES else []
-        if len(wheels) in _WHEELS_NEED:
-            listed = ", ".join(map(_quoted, wheels))
-            need = _WHEELS_NEED[len(wheels)]
-            return f'{address_line}{need}[robots.{name}.wheels]\ntopics = [{listed}]\nunit = "pwm"'
+            return ["vector", f"topic = {first}", 'fields = ["x", "y", "yaw"]'], []
+        throttle = _throttle_topics(suspects) if is_number else []
+        wheels = names[:1] if type_name in ARRAY_TYPES else _wheel_topics(suspects) if is_number else []
+        numbers = {each.type_name for each in suspects if each.name in (throttle or wheels)}
+        is_known = (throttle or len(wheels) in _WHEELS_NEED) and not any(each.startswith(_UNSIGNED) for each in numbers)
+        if is_known:
+            full = ["full = 127"] if any(each.startswith(_SHORT) for each in numbers) else []
+            table = [f"topics = [{', '.join(map(_quoted, throttle or wheels))}]", 'unit = "pwm"', *full]
+            if throttle:
+                return ["throttle", *table], []
+            return ["wheels", *table], [*_WHEELS_NEED[len(wheels)]]
         if type_name == JOY_TYPE:
-            return f"{address_line}[robots.{name}.joy]\ntopic = {_quoted(first)}\nx_axis = 1\nyaw_axis = 0"
+            return ["joy", f"topic = {first}", "x_axis = 1", "yaw_axis = 0"], []
         if type_name in TEXT_TYPES:
-            words = 'forward = "F"\nbackward = "B"\nleft = "L"\nright = "R"\nstop = "S"'
-            return f"{address_line}[robots.{name}.words]\ntopic = {_quoted(first)}\n{words}"
-    return f"{address_line}locked_topics = [{topics}]"
+            words = ('forward = "F"', 'backward = "B"', 'left = "L"', 'right = "R"', 'stop = "S"')
+            return ["words", f"topic = {first}", *words], []
+    return [], [f"locked_topics = [{', '.join(_quoted(each.name) for each in suspects)}]"]
 
 
 def _quoted(text: str) -> str:

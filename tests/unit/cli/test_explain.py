@@ -84,7 +84,7 @@ def test_robot_without_a_name_and_odometry_is_explained(capsys: pytest.CaptureFi
         "  its motion is known by nothing: no odometry",
         "  topics that look like commands, and that nothing guards: /l_motor (std_msgs/Int16)",
         "  topics that set positions, without a lease: /arm (sensor_msgs/JointState)",
-        "  to change that, put these lines into hostlink.toml, and run `hostlink reload`:",
+        "  to change that, put these lines into hostlink.toml, and restart hostlink:",
         "    [robots.robot_0]",
         '    locked_topics = ["/l_motor"]',
     ]

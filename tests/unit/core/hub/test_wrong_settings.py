@@ -211,3 +211,18 @@ def test_wheels_whose_type_cannot_hold_the_numbers_are_sent_none(wheels: WheelsC
         assert refused["robot"] == "slow"
 
     in_hub(test, Config(robots={"slow": slow(**WHEELS, wheels=wheels)}))
+
+
+def test_suggestion_is_for_the_table_that_has_the_address_of_the_board() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect([to(0, "left_motor", "std_msgs/Int16"), to(1, "right_motor", "std_msgs/Int16")])
+        await made.connect([to(0, "motor", "std_msgs/Int16")], address="10.0.0.3")
+        await made.connect([to(0, "motor", "std_msgs/Int16")], address="10.0.0.4")
+        first, second, third = made.hub.robots.devices.values()
+        assert first.suggestion == '[robots.slow.wheels]\ntopics = ["left_motor", "right_motor"]\nunit = "pwm"'
+        assert second.suggestion == ""  # its table has a command with a wrong topic
+        assert "wheels.topics names motr" in second.refused_settings
+        assert third.suggestion.startswith('[robots.my_robot]\naddress = "10.0.0.4"\n')
+
+    wrong = RobotConfig(address="10.0.0.3", wheels=WheelsConfig(topics=("motr",)))
+    in_hub(test, Config(robots={"slow": slow(), "wrong": wrong}))

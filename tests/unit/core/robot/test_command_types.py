@@ -245,7 +245,7 @@ def bounded(full: float, rest: float) -> WheelScale:
         ("std_msgs/UInt8", bounded(255, 0), "is sent -255 to 255, and std_msgs/UInt8 holds 0 to 255"),
         ("std_msgs/Int8", bounded(255, 0), "is sent -255 to 255, and std_msgs/Int8 holds -128 to 127"),
         ("std_msgs/Int16", WheelScale(1.0, rest=40000), "is sent 40000, and std_msgs/Int16 holds -32768 to 32767"),
-        ("std_msgs/Int16", WheelScale(1.0, rest=0.5), "rest = 0.5 is no value of std_msgs/Int16"),
+        ("std_msgs/Int16", WheelScale(1.0, rest=0.5), "std_msgs/Int16 cannot hold rest = 0.5: choose a whole number"),
         ("std_msgs/Int16", WheelScale(1.0, top=0.5), "is sent at most 0.5, and std_msgs/Int16 holds whole numbers"),
         ("std_msgs/Int8", WheelScale(100.0, top=5.0), "is sent -500 to 500, and std_msgs/Int8 holds -128 to 127"),
         ("std_msgs/Float32", bounded(1e39, 0), "is sent -1e.39 to 1e.39, and std_msgs/Float32 holds"),
@@ -281,7 +281,7 @@ def test_numbers_that_the_type_cannot_hold_are_refused(type_name: str, scale: Wh
         ("std_msgs/Int16", "0.5"),
     ],
 )
-def test_word_that_is_no_value_of_a_number_is_refused(type_name: str, word: str) -> None:
+def test_word_that_a_number_cannot_hold_is_refused(type_name: str, word: str) -> None:
     with pytest.raises(ConfigError, match=f"'{re.escape(word)}' is not a value of {type_name}"):
         WordCommand(topic(type_name), Words("1", "2", "3", word, "0"), FULL)
 

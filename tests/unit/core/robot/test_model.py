@@ -481,12 +481,22 @@ def test_suggestion_for_each_type() -> None:
     for type_name in (STRING_TYPE, CHAR):
         words = {"topic": "cmd", "forward": "F", "backward": "B", "left": "L", "right": "R", "stop": "S"}
         assert suggested(to("cmd", type_name)) == {"words": words}
-    for type_name in ARRAY_TYPES:
-        assert suggested(to("motors", type_name), to("more", type_name)) == {
-            "wheels": {"topics": ["motors"], "unit": "pwm"}
-        }
-    for type_name in NUMBER_TYPES:
-        assert suggested(to("motor", type_name)) == {"wheels": {"topics": ["motor"], "unit": "pwm"}}
+    for type_name in (*ARRAY_TYPES, *NUMBER_TYPES):
+        wheels: dict[str, object] = {"topics": ["motors"], "unit": "pwm"}
+        if "Int8" in type_name:
+            wheels["full"] = 127
+        robot: dict[str, object] = {"wheels": wheels}
+        if "UInt" in type_name:  # the number at rest may be one in the middle, at which another motor turns
+            robot = {"locked_topics": ["motors"]}
+        assert suggested(to("motors", type_name)) == robot
+
+
+def test_suggestion_for_a_table_that_is_there_repeats_nothing_of_it() -> None:
+    text = suggestion(numbers("l", "r"), "car", "", is_configured=True)
+    assert text == '[robots.car.wheels]\ntopics = ["l", "r"]\nunit = "pwm"'
+    four = suggestion(numbers("m1", "m2", "m3", "m4"), "car", "", is_configured=True)
+    assert four.startswith('[robots.car]\nkinematics = "skid_steer"\n[robots.car.wheels]\n')
+    assert suggestion([to("go", TWIST)], "car", "", is_configured=True) == '[robots.car]\ncommand_topic = "go"'
 
 
 def test_suggestion_for_a_robot_lets_its_lock_refuse_the_topics_and_keeps_its_command() -> None:
