@@ -213,12 +213,21 @@ def feedback_of(topics: RobotTopicNames, sent: Iterable[TopicType], config: Robo
     Raises:
         ConfigError: the settings do not fit the topics or the drive.
     """
-    encoders = None
-    if config.encoders is not None:
-        fields = dataclasses.asdict(config.encoders)
-        encoders = WheelSettings(**fields | {"wheel_radius_m": fields["wheel_radius_m"] or config.wheel_radius_m})
-    settings = FeedbackSettings(topic=topics.odometry or "", encoders=encoders)
+    settings = FeedbackSettings(topic=topics.odometry or "", encoders=_encoders_of(config))
     return Feedback(sent, settings, drive_in(config, topics.commands))
+
+
+def _encoders_of(config: RobotConfig) -> WheelSettings | None:
+    if config.encoders is None:
+        return None
+    fields = dataclasses.asdict(config.encoders)
+    return WheelSettings(**fields | {"wheel_radius_m": fields["wheel_radius_m"] or config.wheel_radius_m})
+
+
+def encoders_lack(config: RobotConfig) -> list[str]:
+    """Return the settings of its encoders without which a robot has no pose."""
+    encoders = _encoders_of(config)
+    return encoders.lacking.split(" and ") if encoders is not None and encoders.lacking else []
 
 
 def commands_of(
@@ -278,6 +287,13 @@ def check_command(config: RobotConfig) -> None:
         ConfigError: they fit no device.
     """
     number = next(iter(NUMBER_TYPES))
+    encoders = _encoders_of(config)
+    if encoders is not None and not encoders.lacking:
+        drive, type_name = drive_in(config), JOINT_STATE_TYPE if encoders.joints and encoders.topic else number
+        feedback = Feedback(((name, type_name) for name in encoders.names), FeedbackSettings(encoders=encoders), drive)
+        is_counted = bool(encoders.topics or encoders.joints or encoders.wheels)  # an array tells its number itself
+        if drive.wheels and is_counted and feedback.lacks:
+            raise ConfigError("encoders", f"a pose needs {feedback.lacks}")
     if config.throttle is not None:
         commands_of([TopicType(topic, number) for topic in config.throttle.topics], config, kind=CommandKind.THROTTLE)
     wheels = config.wheels
