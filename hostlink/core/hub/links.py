@@ -427,7 +427,7 @@ class Links:
         if device.refused_settings:
             noted[REFUSED] = device.refused_settings
             if noted[REFUSED] != before.get(REFUSED):
-                name = device.robot_name or device.diagnosis.robot
+                name = device.robot_name or device.diagnosis.robot or self.origin_of(device)[1]
                 log.warning("robot.settings_refused", robot=name, reason=printable(device.refused_settings, MAX_TEXT))
         if device.unguarded:
             topics = ", ".join(f"{device.shown.of(info.name)} ({info.type})" for info in device.unguarded)
