@@ -538,8 +538,7 @@ class Directory:
         """
         places = self._names.places
         here = {name: self._settings[name] for name in places.at(origin) if name in self._settings}
-        free = {name: each for name, each in self._settings.items() if not places.has(name)}
-        chosen = select(here, topics) or select(free, topics)
+        chosen = select(here, topics) or select(self._free, topics)
         if chosen is not None:
             return _Described(chosen, self._settings[chosen])
         recognising = [each for each in here.values() if not each.topics]
@@ -606,6 +605,8 @@ class Directory:
     def _set_commands(self, settings: Mapping[str, CommandSettings]) -> None:
         self._settings = dict(settings)
         self._of_several = {name: each for name, each in settings.items() if each.devices}
+        free = (name for name in settings if not self._names.places.has(name))
+        self._free = {name: settings[name] for name in free if settings[name].topics}
 
     def leave(self, link: int) -> None:
         """The device's link is gone."""
