@@ -24,7 +24,7 @@ from hostlink.core.components import chosen_components
 from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_place
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.parameters import to_parameter
-from hostlink.core.hub.robot import check_command, drive_in, frames_of, lacking
+from hostlink.core.hub.robot import check_command, drive_in, encoders_lack, frames_of, lacking
 from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor
 from hostlink.core.messages.catalog import Catalog
@@ -314,9 +314,13 @@ def _suspicious_robots(config: Config) -> Iterator[str]:
             needed = [each for each in _WHEEL_SETTINGS.get(robot.kinematics, ()) if getattr(robot, each) is None]
             if needed:
                 yield f"{where}.max_wheel_m_s needs {' and '.join(needed)}, without which turns are not limited"
-        if robot.encoders is not None and (needed := lacking(drive_in(robot), robot)) and not drive_in(robot).wheels:
-            unknown = "without which they tell only whether the robot moves"
-            yield f"{where}.encoders needs {' and '.join(needed)}, {unknown}"
+        drive = drive_in(robot)
+        needed = [] if robot.encoders is None or drive.wheels else lacking(drive, robot)
+        needed += encoders_lack(robot)
+        if needed:
+            *first, last = needed
+            names = f"{', '.join(first)} and {last}" if first else last
+            yield f"{where}.encoders needs {names}, without which they tell only whether the robot moves"
         if robot.kinematics == "ackermann" and None in (robot.wheelbase_m, robot.max_steering_rad):
             yield (
                 f"{where}: measure the car for wheelbase_m and max_steering_rad, with which it steers; without them it "

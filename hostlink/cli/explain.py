@@ -24,11 +24,17 @@ def warnings(devices: Iterable[Mapping[str, Any]], lock_reason: str | None) -> l
     for device in devices:
         place = _place(device)
         if device["refused"]:
-            lines.append(
-                f"{place} is not {device['settings'] or 'a robot'}: its settings do not fit: {device['refused']}"
-            )
+            what = f"is not {device['settings'] or 'a robot'}"
+            if device["robot"] is not None:
+                what = f"is the robot {device['robot']}, with its limits"
+            elif device.get("part_of") is not None:
+                what = f"is a part of the robot {device['part_of']}"
+            lines.append(f"{place} {what}: its settings do not fit: {device['refused']}")
         if device["unguarded"]:
             topics = ", ".join(each["topic"] for each in device["unguarded"])
+            if not device["suggestion"]:
+                lines.append(f"nothing guards {topics} of {place}")
+                continue
             first = given.setdefault(device["suggestion"], place)
             if first != place:
                 lines.append(f"nothing guards {topics} of {place}; the lines of {first} are for it, too")
@@ -52,14 +58,18 @@ def _of_device(device: Mapping[str, Any]) -> Iterator[str]:
     if device["robot"] is not None:
         yield f"{place} is the robot {device['robot']}: it takes velocities on {commands}"
         yield f"  its name: {device['name_from']}"
+        if device["refused"]:
+            yield f"  its settings do not fit: {device['refused']}"
         known = KNOWN_BY.get(device["feedback"], device["feedback"])
         topics, lacks = ", ".join(named.get("feedback", ())), device["lacks"]
         yield f"  its motion is known by {known}{topics and f', from {topics}'}{lacks and f'; it lacks {lacks}'}"
         yield from _velocities("further velocity topics, with the robot's lease, limits and lock", named)
-    elif device["refused"]:
+    elif device["refused"] and device.get("part_of") is None:
         yield f"{place} is not a robot: the settings do not fit its topics: {device['refused']}"
     elif device.get("part_of") is not None:  # an older daemon does not say it
         yield f"{place} is a part of the robot {device['part_of']}, which takes its velocities on another device"
+        if device["refused"]:
+            yield f"  its settings do not fit: {device['refused']}"
         if named.get("feedback"):
             yield f"  the robot's motion is known by {', '.join(named['feedback'])}"
         yield from _velocities(
@@ -100,5 +110,5 @@ def _advice(device: Mapping[str, Any], given: dict[str, str]) -> Iterator[str]:
         return
     is_there = device["suggestion"].startswith(f"[robots.{device['settings']}]\n")
     place = f"the table [robots.{device['settings']}] of hostlink.toml" if is_there else "hostlink.toml"
-    yield f"  to change that, put these lines into {place}, and run `hostlink reload`:"
+    yield f"  to change that, put these lines into {place}, and restart hostlink:"
     yield from (f"    {line}" for line in device["suggestion"].splitlines())

@@ -230,8 +230,10 @@ class WheelsConfig:
             raise ValueError(
                 'wheels.topics must name the topics of the wheels, for example ["lmotor_cmd", "rmotor_cmd"]'
             )
-        if len(set(self.topics)) < len(self.topics):
-            raise ValueError("wheels.topics names one topic twice")
+        _check_names("wheels.topics", self.topics)
+        _check_unique("wheels.joints", self.joints, "joint")
+        if len("".join(self.joints).encode()) > MAX_WORD_BYTES:
+            raise ValueError(f"the names in wheels.joints have more than {MAX_WORD_BYTES} bytes: shorten them")
         if self.unit == "ticks_s" and self.ticks_per_turn <= 0:
             raise ValueError('wheels.unit "ticks_s" needs ticks_per_turn above zero')
         if not all(abs(each) == 1 for each in self.directions):
@@ -254,8 +256,9 @@ class ThrottleConfig:
     steering_rest: float = 0.0  # number straight ahead
 
     def __post_init__(self) -> None:
-        if not len(self.topics) == len(set(self.topics)) == _PAIR:
+        if len(self.topics) != _PAIR or len(set(map(plain_name, self.topics))) != _PAIR:
             raise ValueError('throttle.topics must be two, for example ["throttle", "steering"]')
+        _check_names("throttle.topics", self.topics)
         full, steering_full = self.full, self.steering_full
         _check_range("throttle.full", full, "throttle.rest", self.rest, is_bounded=self.unit == "pwm")
         _check_range(
@@ -307,8 +310,12 @@ class EncodersConfig:
     def __post_init__(self) -> None:
         if bool(self.topics) == (self.topic is not None):
             raise ValueError("encoders need either topics (one for each wheel) or topic (an array or a JointState)")
-        if len(set(self.topics)) < len(self.topics) or len(self.topics) > MAX_WHEELS:
+        if len(set(map(plain_name, self.topics))) < len(self.topics) or len(self.topics) > MAX_WHEELS:
             raise ValueError(f"topics must be at most {MAX_WHEELS} different names")
+        _check_names("encoders.topics", self.topics)
+        _check_names("encoders.topic", () if self.topic is None else (self.topic,))
+        _check_unique("encoders.joints", self.joints, "joint")
+        _check_unique("encoders.wheels", self.wheels, "wheel")
         for name, value in (("ticks_per_turn", self.ticks_per_turn), ("wheel_radius_m", self.wheel_radius_m)):
             if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"{name} must be a finite number above zero, not {value}")
@@ -337,6 +344,9 @@ class VectorConfig:
         used = [each for each in self.fields if each]
         if len(self.fields) > _COMPONENTS or len(set(used)) < len(used) or not used:
             raise ValueError('vector.fields must be one to three of "x", "y" and "yaw", for example ["x", "yaw"]')
+        if used == ["yaw"]:
+            raise ValueError('vector.fields must have "x" or "y": with "yaw" alone the robot only turns')
+        _check_names("vector.topic", (self.topic,))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -355,6 +365,14 @@ class JoyConfig:
         used = [each for each in (self.x_axis, self.y_axis, self.yaw_axis, self.button) if each is not None]
         if not all(0 <= each < MAX_JOY for each in (*used, self.axes, self.buttons)):
             raise ValueError(f"axes and buttons of joy must be 0 to {MAX_JOY - 1}")
+        for kind, count, numbers in (
+            ("axes", self.axes, (self.x_axis, self.y_axis, self.yaw_axis)),
+            ("buttons", self.buttons, (self.button,)),
+        ):
+            highest = max((each for each in numbers if each is not None), default=-1)
+            if highest >= count:
+                raise ValueError(f"joy.{kind} = {count} are numbered 0 to {count - 1}: for {highest} set {highest + 1}")
+        _check_names("joy.topic", (self.topic,))
         _check_different("axis", {name: getattr(self, name) for name in _JOY_AXES}, "joy")
 
 
@@ -370,11 +388,37 @@ class WordsConfig:
     stop: str
 
     def __post_init__(self) -> None:
+        _check_names("words.topic", (self.topic,))
         if not self.stop:
             raise ValueError("words.stop must not be empty: it is what stops the robot")
         if self.stop in (self.forward, self.backward, self.left, self.right):
             raise ValueError(f"words.stop must differ from the words that move the robot: {self.stop!r}")
         _check_different("word", {name: getattr(self, name) for name in _DIRECTIONS}, "words")
+        for name in (*_DIRECTIONS, "stop"):
+            if len(getattr(self, name).encode()) > MAX_WORD_BYTES:
+                raise ValueError(f"words.{name} has more than {MAX_WORD_BYTES} bytes: shorten it")
+
+
+def plain_name(name: str) -> str:
+    """Return the name of a topic without the slash in front, which means nothing here."""
+    return name.lstrip("/")
+
+
+def _check_names(where: str, names: tuple[str, ...]) -> None:
+    """Check names of topics, services or devices.
+
+    Raises:
+        ValueError: one is empty, or is there twice.
+    """
+    if not all(name.strip("/ ") for name in names):
+        raise ValueError(f"{where} must not have an empty name: write the name, or remove it")
+    _check_unique(where, tuple(map(plain_name, names)), "topic")
+
+
+def _check_unique(where: str, names: tuple[str, ...], what: str) -> None:
+    twice = next((name for number, name in enumerate(names) if name in names[:number]), None)
+    if twice is not None:
+        raise ValueError(f"{where} names one {what} twice: {twice!r}")
 
 
 def _check_different(what: str, settings: dict[str, Any], where: str) -> None:
@@ -391,10 +435,12 @@ def _check_different(what: str, settings: dict[str, Any], where: str) -> None:
 
 
 _PAIR = 2  # throttle and steering
+_WITHOUT_Y = ("differential", "skid_steer", "ackermann")
 _DIRECTIONS = ("forward", "backward", "left", "right")
 _JOY_AXES = ("x_axis", "y_axis", "yaw_axis")
 _COMPONENTS = 3  # of a Vector3
 MAX_WHEELS = 8
+MAX_WORD_BYTES = 1024  # a stop of the guardian has four times as many, and a board takes 512 by default
 MAX_JOY = 64  # axes and buttons of a Joy
 MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
 
@@ -461,17 +507,30 @@ class RobotConfig:
         given = [name for name, each in ways.items() if each is not None]
         if len(given) > 1:
             raise ValueError(f"{given[0]} and {given[1]} are two ways to command one robot: choose one")
+        if self.kinematics == "spatial" and given and given != ["command_topic"]:
+            advice = "choose another kinematics, or command_topic"
+            raise ValueError(f'kinematics = "spatial" passes the six numbers of a Twist, not {given[0]}: {advice}')
         if self.throttle is not None and self.kinematics not in ("", "ackermann"):
             raise ValueError(f'throttle is the command of a car: it does not fit kinematics = "{self.kinematics}"')
         commands = {self.command_topic} if given == ["command_topic"] else set[str | None]()
         for name in given:
             commands |= {getattr(ways[name], "topic", None), *getattr(ways[name], "topics", ())}
-        excluded = sorted(topic for topic in self.not_commands if topic in commands)
+        plain = {plain_name(topic) for topic in commands if topic is not None}
+        excluded = sorted(topic for topic in self.not_commands if plain_name(topic) in plain)
         if excluded:
             raise ValueError(
                 f"{excluded[0]!r} is the command of the robot and one of not_commands: remove it from one of them"
             )
+        for name in ("command_topic", "stop_service"):
+            value = getattr(self, name)
+            _check_names(name, () if value is None else (value,))
+        _check_names("not_commands", self.not_commands)
+        _check_names("locked_topics", self.locked_topics)
+        if self.vector is not None and self.kinematics in _WITHOUT_Y and "x" not in self.vector.fields:
+            raise ValueError(f'vector.fields must have "x": kinematics = "{self.kinematics}" cannot move sideways')
         devices = self.devices or ()
+        if not all(place.strip("/ ") for place in devices):
+            raise ValueError("devices must not have an empty name: write an address, a port or a name")
         if self.devices is not None and not devices:
             raise ValueError("devices must not be empty: name the robot's boards, or remove the line")
         if self.address is not None and devices:

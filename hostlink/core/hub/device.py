@@ -13,7 +13,7 @@ from hostlink.core.config import RobotConfig
 from hostlink.core.hub.diagnoses import Diagnosis
 from hostlink.core.hub.gates import Drivable, Echo, LostEndpoint
 from hostlink.core.hub.message import Message
-from hostlink.core.hub.robot import LocalRobot, commands_of, limits_of
+from hostlink.core.hub.robot import LocalRobot, command_settings, commands_of, limits_of
 from hostlink.core.hub.services import DeviceService
 from hostlink.core.hub.topic import DeviceSubscription, Subscriber, Topic
 from hostlink.core.hub.topic_graph import resolve
@@ -31,6 +31,7 @@ from hostlink.core.robot.model import (
     Suggestion,
     is_velocity,
     name_of,
+    plain,
     suggest,
     suggestion,
     unguarded,
@@ -295,6 +296,15 @@ class Device:
         return endpoints_of(self.infos)
 
     @property
+    def stop_service(self) -> str | None:
+        """Service that stops it by the settings, as it announces it; None: they name none."""
+        wanted, kind = self.settings.stop_service, EndpointKind.SERVICE_SERVER_SUBSCRIBER
+        if wanted is None:
+            return None
+        names = (info.name for info in self.infos if info.kind is kind)
+        return next((name for name in names if plain(name) == plain(wanted)), wanted)
+
+    @property
     def guarded(self) -> frozenset[str]:
         """Own names of the topics that have a gate."""
         return frozenset(topic.name for drivable in self.drivables for topic in drivable.commands.topics)
@@ -349,6 +359,11 @@ class Device:
             for each in robots.devices.values()
             if each is not self and each.suggested is not None
         }
+        name = self._hub.links.origin_of(self)[1]
+        if name is not None and robots.is_free(name) and name not in others:  # its table gets the lines
+            if command_settings(robots.config_of(name)).topics:
+                return None  # it has a command: what does not fit in it is a finding
+            return Suggestion(name, self.link.address, suggestion(suspects, name, "", is_configured=True))
         others |= dict.fromkeys(robots.taken_names())
         name = name_of(suspects[0].name) or "my_robot"
         return suggest(suspects, name, self.link.address, self.link.peer, others)

@@ -277,7 +277,7 @@ class RemoteHosts(Protocol):
 
 def _stop_call_of(connection: "Device") -> DeviceEndpoint | None:
     """Return the endpoint of the service that stops a device, by its robot's settings; None if it has none."""
-    service = connection.settings.stop_service
+    service = connection.stop_service
     if service is None:
         return None
     try:

@@ -22,8 +22,8 @@ from hostlink.core.link.link import Link
 from hostlink.core.link.serving import Authenticate, LinkEnd, trust
 from hostlink.core.protocol import events
 from hostlink.core.protocol.session import DeviceProtocol
-from hostlink.core.robot.model import CommandSettings, RobotTopicNames, namespace_of
-from hostlink.core.robot.names import SURE_S, Accepted, Directory, Origin, Places, Remembered, Undecided
+from hostlink.core.robot.model import CommandSettings, RobotTopicNames, find_robot, misfit, namespace_of, unannounced
+from hostlink.core.robot.names import SURE_S, UNNAMED, Accepted, Directory, Origin, Places, Remembered, Undecided
 from hostlink.core.robot.parts import Membership
 from hostlink.core.runtime.logs import of_peer, printable
 from hostlink.core.transport.base import Transport
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 log = structlog.get_logger()
 
 SILENCE_TIMEOUT_S = 0.5  # for the request for silence before a link ends
-UNGUARDED = "unguarded_command"  # code of the finding
+UNGUARDED, REFUSED = "unguarded_command", "settings_refused"  # codes of findings
 MAX_TEXT = 500  # characters of a warning: a device has many topics with long names
 END_S = 0.0005  # CPU time for removing a device from the graph
 DECIDE_INTERVAL_S = 0.05  # a robot sends every 0.1 s
@@ -211,7 +211,7 @@ class Links:
     def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
         service = device.services.get(event.service.name)
         is_answered = service is not None and service.answered(event.payload)
-        if not is_answered and event.service.name != device.settings.stop_service:  # no call waits for those of zeros
+        if not is_answered and event.service.name != device.stop_service:  # no call waits for those of zeros
             self.late_answers += 1
             log.warning("service.late", service=printable(event.service.name))
 
@@ -357,6 +357,7 @@ class Links:
             changed.append(robot)
         device.is_undecided = False
         changed += self._regroup(joined)
+        device.refused_settings = self._misfit(device, claim)
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         self.on_named()
@@ -366,17 +367,35 @@ class Links:
         for message, read in device.early.pop_all():
             device.receive(message, read)
 
+    def _misfit(self, device: Device, claim: Accepted) -> str:
+        """Return what does not fit in the settings of a robot, now that its device is accepted; empty: nothing."""
+        settings, boards = claim.settings, self._hub.robots.beside(device)
+        if device.diagnosis.is_played:
+            return device.refused_settings
+        endpoints = [each for board in boards for each in board.endpoints]
+        services = [name for board in boards for name in board.services]
+        others = unannounced(settings, endpoints, services) if boards else ""
+        problems = (device.refused_settings, misfit(settings, endpoints) if boards else "", others)
+        return "; ".join(filter(None, problems))
+
     def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> LocalRobot | None:
-        """Return the device's robot; None if the settings of its command do not fit the device's topics."""
+        """Return the device's robot; None if the settings of its command do not fit the device's topics.
+
+        A device that is a robot by itself is one with wrong settings, too: with its name, limits, stop and lock.
+        """
         before, robots = device.robot, self._hub.robots
         own = dataclasses.replace(names, name=claim.own_name)
         shown = ShownNames(own, names.name)
         try:
             robot = robots.appear(names.name, own, shown.of_robot(own), device)
         except ConfigError as error:
-            log.warning("robot.settings_refused", robot=names.name, reason=str(error))
             device.refused_settings = str(error)
-            return None
+            by_itself = find_robot(device.endpoints, claim.settings._replace(kind=None, topics=()))
+            if by_itself is None or by_itself.commands == names.commands:
+                return None
+            own = dataclasses.replace(by_itself, name=by_itself.name or UNNAMED)
+            shown = ShownNames(own, names.name)
+            robot = robots.appear(names.name, own, shown.of_robot(own), device)
         self._displace(robot)
         device.announce(device.infos, shown, robot)
         if not claim.is_certain and before is not robot and robot.gate.lock_reason is None:
@@ -417,17 +436,18 @@ class Links:
     def _log_unguarded(self, device: Device) -> None:
         """Note for the diagnosis what nothing guards, and which settings do not fit. Log what is new."""
         noted, before = dict[str, str](), device.diagnosis.noted
-        if device.refused:
-            noted["settings_refused"] = device.refused
+        if device.refused_settings:
+            noted[REFUSED] = device.refused_settings
+            if noted[REFUSED] != before.get(REFUSED):
+                name = device.robot_name or device.diagnosis.robot or self.origin_of(device)[1]
+                log.warning("robot.settings_refused", robot=name, reason=printable(device.refused_settings, MAX_TEXT))
         if device.unguarded:
             topics = ", ".join(f"{device.shown.of(info.name)} ({info.type})" for info in device.unguarded)
-            noted[UNGUARDED] = f"{topics}\n{device.suggestion}"
+            noted[UNGUARDED] = f"{topics}\n{device.suggestion}".strip()
             if noted[UNGUARDED] != before.get(UNGUARDED):
-                log.warning(
-                    "device.unguarded_command",
-                    topics=printable(topics, MAX_TEXT),
-                    advice=f"in hostlink.toml: {printable(device.suggestion, MAX_TEXT)}",
-                )
+                lines = device.suggestion
+                advice = f"in hostlink.toml: {printable(lines, MAX_TEXT)}" if lines else "correct its settings"
+                log.warning("device.unguarded_command", topics=printable(topics, MAX_TEXT), advice=advice)
         device.diagnosis.noted = noted
 
     def origin_of(self, device: Device) -> tuple[str, str | None]:

@@ -175,8 +175,9 @@ def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[
     directions = wheels.directions or (1.0,) * count
     if len(directions) != count:
         raise ConfigError("wheels", f"{len(directions)} directions for {count} wheels")
+    top_m_s = config.max_wheel_m_s or config.max_linear_m_s or 1.0
     if wheels.unit == "pwm":
-        scale = _bounded(wheels.full, wheels.rest, config.max_wheel_m_s or config.max_linear_m_s or 1.0)
+        scale = _bounded(wheels.full, wheels.rest, top_m_s)
         return [scale._replace(direction=direction) for direction in directions]
     per_m_s = 1.0
     if wheels.unit != "m_s":
@@ -184,16 +185,17 @@ def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[
             raise ConfigError("wheels", f'unit = "{wheels.unit}" needs wheel_radius_m')
         per_turn = {"rad_s": math.tau, "rpm": 60.0, "ticks_s": wheels.ticks_per_turn}[wheels.unit]
         per_m_s = per_turn / (math.tau * config.wheel_radius_m)
-    return [WheelScale(per_m_s, direction, wheels.rest) for direction in directions]
+    return [WheelScale(per_m_s, direction, wheels.rest, top=top_m_s) for direction in directions]
 
 
 def throttle_scales(
     throttle: ThrottleConfig, config: RobotConfig, drive: AckermannDrive
 ) -> tuple[WheelScale, WheelScale]:
     """Return how the speed of a car becomes the number of its throttle, and its steering angle that of the steering."""
-    forwards, angle = WheelScale(1.0, rest=throttle.rest), WheelScale(1.0, rest=throttle.steering_rest)
+    top_m_s = config.max_wheel_m_s or config.max_linear_m_s or 1.0
+    forwards = WheelScale(1.0, rest=throttle.rest, top=top_m_s)
+    angle = WheelScale(1.0, rest=throttle.steering_rest, top=drive.max_steering_rad)
     if throttle.unit == "pwm":
-        top_m_s = config.max_wheel_m_s or config.max_linear_m_s or 1.0
         forwards = _bounded(throttle.full, throttle.rest, top_m_s)
     if throttle.steering_full is not None:
         angle = _bounded(throttle.steering_full, throttle.steering_rest, drive.max_steering_rad)
@@ -202,7 +204,7 @@ def throttle_scales(
 
 def _bounded(full: float, rest: float, at: float) -> WheelScale:
     """Return the scale that adds `full` to `rest` at a value of `at`, and more at no other."""
-    return WheelScale(full / at, 1.0, rest, rest - abs(full), rest + abs(full))
+    return WheelScale(full / at, 1.0, rest, rest - abs(full), rest + abs(full), at)
 
 
 def feedback_of(topics: RobotTopicNames, sent: Iterable[TopicType], config: RobotConfig) -> Feedback:
@@ -211,12 +213,21 @@ def feedback_of(topics: RobotTopicNames, sent: Iterable[TopicType], config: Robo
     Raises:
         ConfigError: the settings do not fit the topics or the drive.
     """
-    encoders = None
-    if config.encoders is not None:
-        fields = dataclasses.asdict(config.encoders)
-        encoders = WheelSettings(**fields | {"wheel_radius_m": fields["wheel_radius_m"] or config.wheel_radius_m})
-    settings = FeedbackSettings(topic=topics.odometry or "", encoders=encoders)
+    settings = FeedbackSettings(topic=topics.odometry or "", encoders=_encoders_of(config))
     return Feedback(sent, settings, drive_in(config, topics.commands))
+
+
+def _encoders_of(config: RobotConfig) -> WheelSettings | None:
+    if config.encoders is None:
+        return None
+    fields = dataclasses.asdict(config.encoders)
+    return WheelSettings(**fields | {"wheel_radius_m": fields["wheel_radius_m"] or config.wheel_radius_m})
+
+
+def encoders_lack(config: RobotConfig) -> list[str]:
+    """Return the settings of its encoders without which a robot has no pose."""
+    encoders = _encoders_of(config)
+    return encoders.lacking.split(" and ") if encoders is not None and encoders.lacking else []
 
 
 def commands_of(
@@ -276,6 +287,13 @@ def check_command(config: RobotConfig) -> None:
         ConfigError: they fit no device.
     """
     number = next(iter(NUMBER_TYPES))
+    encoders = _encoders_of(config)
+    if encoders is not None and not encoders.lacking:
+        drive, type_name = drive_in(config), JOINT_STATE_TYPE if encoders.joints and encoders.topic else number
+        feedback = Feedback(((name, type_name) for name in encoders.names), FeedbackSettings(encoders=encoders), drive)
+        is_counted = bool(encoders.topics or encoders.joints or encoders.wheels)  # an array tells its number itself
+        if drive.wheels and is_counted and feedback.lacks:
+            raise ConfigError("encoders", f"a pose needs {feedback.lacks}")
     if config.throttle is not None:
         commands_of([TopicType(topic, number) for topic in config.throttle.topics], config, kind=CommandKind.THROTTLE)
     wheels = config.wheels

@@ -34,13 +34,13 @@ from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import EPOCH_BITS, Admission, EarlierCommands
 from hostlink.core.robot.command_types import CommandType, TopicType, TwistCommand
 from hostlink.core.robot.feedback import Feedback, FeedbackSettings
-from hostlink.core.robot.model import RobotTopicNames
+from hostlink.core.robot.model import CommandKind, RobotTopicNames
 from hostlink.core.robot.odometry import OdometryEstimator
 from hostlink.core.robot.parts import Membership, Parts, parts_of
 from hostlink.core.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from hostlink.core.robot.velocity_gate import VelocityGate
 from hostlink.core.runtime.loop_time import loop_time_s
-from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
+from hostlink.errors import ConfigError, FrameTooLarge, HostlinkError, UnknownTopic
 
 if TYPE_CHECKING:
     from hostlink.core.hub.hub import Hub
@@ -251,6 +251,11 @@ class Robots:
         """Return the names that no other device should be given: of configured and of connected robots."""
         return {*self._configs, *(robot.name for robot in self._robots.values() if robot.connection is not None)}
 
+    def is_free(self, name: str) -> bool:
+        """Whether no device is the robot of this name."""
+        robot = self._robots.get(name)
+        return robot is None or robot.connection is None
+
     def is_known(self, robot: AnyRobot) -> bool:
         """Whether a robot is not forgotten."""
         return robot in (self._robots.get(robot.name), self.remote.get(robot.name))
@@ -391,7 +396,12 @@ class Robots:
         """
         config = self._config_of(name, topics.name)
         commands = commands_of(topics.commands, config, kind=topics.kind, frame_id=frames_of(name, config).base)
-        feedback = feedback_of(topics, device.sent_topics, config)
+        _check_zeros(commands, topics.kind, device)
+        try:
+            feedback = feedback_of(topics, device.sent_topics, config)
+        except ConfigError as error:  # no limit depends on them
+            device.refused_settings = str(error)
+            feedback = feedback_of(topics, device.sent_topics, dataclasses.replace(config, encoders=None))
         if device.robot is not None and device.robot.name != name:
             self.vanish(device)
         robot = self._robots.get(name)
@@ -482,6 +492,18 @@ class Robots:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
                     self._gates.lock([drivable], reason, by=robot.admission.locked_by)
         return robot
+
+    def beside(self, device: Device) -> list[Device]:
+        """Return all devices of the robot of this one; none while one of several is not connected."""
+        if device.member is None:
+            return [device]
+        config = self.config_of(device.member.robot)
+        found = [
+            each
+            for each in self.devices.values()
+            if each.member is not None and each.member.robot == device.member.robot and not each.is_undecided
+        ]
+        return found if {each.member.place for each in found if each.member} >= set(config.devices or ()) else []
 
     def _why_waiting(self, device: Device, members: Mapping[str, Device]) -> str:
         """Return why a device waits for its place in a robot of several devices."""
@@ -642,6 +664,23 @@ class Robots:
             self._gates.events.note(EventKind.FORGOTTEN, name)
             self._hub.links.forget_robot(robot)
             self._hub.note_robot(name)
+
+
+def _check_zeros(commands: CommandType, kind: CommandKind, device: Device) -> None:
+    """Check that the device takes what stops it: a word that drives it may be shorter.
+
+    Raises:
+        ConfigError: it does not. A Twist is not checked: a device that takes no zero takes no other, either.
+    """
+    if kind in (CommandKind.TWIST, CommandKind.ACKERMANN):
+        return
+    for topic, zero in zip(commands.topics, commands.encode(ZERO), strict=True):
+        try:
+            device.link.session.endpoint_of(topic.name, zero)
+        except FrameTooLarge as error:
+            raise ConfigError(kind, f"what stops it does not fit the board: {error}") from error
+        except HostlinkError:  # the topic was refused: nothing drives it
+            continue
 
 
 def _configure(robot: LocalRobot) -> None:

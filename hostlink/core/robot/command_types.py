@@ -43,6 +43,8 @@ ARRAY_TYPES: Final = {f"std_msgs/{name}MultiArray": code for name, code in NUMBE
 _WHOLE: Final = {"b": (-128, 127), "h": (-(2**15), 2**15 - 1), "i": (-(2**31), 2**31 - 1), "q": (-(2**63), 2**63 - 1),
           "B": (0, 255), "H": (0, 2**16 - 1), "I": (0, 2**32 - 1), "Q": (0, 2**64 - 1)}  # fmt: skip
 _LARGEST_FLOAT32: Final = 3.4e38
+_RANGES: Final = {"f": (-_LARGEST_FLOAT32, _LARGEST_FLOAT32), "d": (-math.inf, math.inf)}
+_FEWEST_STEPS: Final = 5  # whole numbers between rest and the fastest speed; with fewer a speed is off by a tenth
 
 
 class TopicType(NamedTuple):
@@ -150,18 +152,50 @@ class AckermannCommand(CommandType):
 
 
 class WheelScale(NamedTuple):
-    """Number that a wheel is sent: `rest` plus `direction` times its speed (m/s) times `per_m_s`, within the bounds."""
+    """Number that a wheel is sent: `rest` plus `direction` times its speed (m/s) times `per_m_s`, within the bounds.
+
+    `top` is its fastest speed; 0: unknown.
+    """
 
     per_m_s: float
     direction: float = 1.0
     rest: float = 0.0
     lowest: float = -math.inf
     highest: float = math.inf
+    top: float = 0.0
 
     def value(self, speed_m_s: float) -> float:
         """Return the number for a speed. What is not a number after an overflow is `rest`."""
         value = min(max(self.rest + self.direction * speed_m_s * self.per_m_s, self.lowest), self.highest)
         return self.rest if math.isnan(value) else value
+
+
+def _check_numbers(setting: str, topic: TopicType, scale: WheelScale) -> None:
+    """Check that the type of a topic holds the number at rest and those at the fastest speeds: it would cut them off.
+
+    Raises:
+        ConfigError: it does not, or rounds most speeds to rest.
+    """
+    code = NUMBER_TYPES.get(topic.type_name) or ARRAY_TYPES[topic.type_name]
+    lowest, highest = _WHOLE.get(code) or _RANGES[code]
+    reach = round(abs(scale.per_m_s) * scale.top, 6) if scale.top else 0.0
+    slowest, fastest = scale.rest - reach, scale.rest + reach
+    if slowest < lowest or fastest > highest:
+        numbers = f"{scale.rest:g}" if not reach else f"{slowest:g} to {fastest:g}"
+        advice = "choose a rest and a full that fit, or another type on the board"
+        raise ConfigError(
+            setting, f"{topic.name} is sent {numbers}, and {topic.type_name} holds {lowest:g} to {highest:g}: {advice}"
+        )
+    if code not in _WHOLE:
+        return
+    if scale.rest != round(scale.rest):
+        raise ConfigError(setting, f"{topic.type_name} cannot hold rest = {scale.rest:g}: choose a whole number")
+    if math.isinf(scale.highest) and 0 < reach < _FEWEST_STEPS:  # by a unit; `full` is chosen by a person
+        raise ConfigError(
+            setting,
+            f"{topic.name} is sent at most {reach:.2g}, and {topic.type_name} holds whole numbers: choose a unit with "
+            "larger numbers, or Float32 on the board",
+        )
 
 
 class WheelCommand(CommandType):
@@ -190,6 +224,9 @@ class WheelCommand(CommandType):
                 raise ConfigError("wheels", f"{unknown[0]} is not a number, an array of numbers or a JointState")
             if len(topics) != count:
                 raise ConfigError("wheels", f"{len(topics)} topics for {count} wheels; give one for each, in order")
+        if JOINT_STATE_TYPE not in types:
+            for number, scale in enumerate(scales):
+                _check_numbers("wheels", topics[number if len(topics) > 1 else 0], scale)
 
     def encode(self, velocity: AnyVelocity, stamp_ns: int = 0) -> tuple[bytes, ...]:
         """Encode the number of each wheel. Zero is `rest` on every wheel."""
@@ -225,6 +262,8 @@ class ThrottleCommand(CommandType):
         unknown = sorted({topic.type_name for topic in topics} - NUMBER_TYPES.keys())
         if unknown:
             raise ConfigError("throttle", f"{unknown[0]} is not a number")
+        for topic, scale in zip(topics, (throttle, steering), strict=True):
+            _check_numbers("throttle", topic, scale)
 
     def encode(self, velocity: AnyVelocity, stamp_ns: int = 0) -> tuple[bytes, ...]:  # noqa: ARG002 - no stamp
         """Encode both numbers. Zero is the throttle at rest, straight ahead."""
@@ -387,9 +426,13 @@ def _word(type_name: str, word: str) -> bytes:
     if type_name == CHAR_TYPE and len(text) == 1:
         return text
     try:
-        return _number(NUMBER_TYPES[type_name], float(word))
-    except (KeyError, ValueError) as error:
-        raise ConfigError("words", f"{word!r} is not a value of {type_name}") from error
+        code, value = NUMBER_TYPES[type_name], float(word)
+        lowest, highest = _WHOLE.get(code) or _RANGES[code]
+        if math.isfinite(value) and lowest <= value <= highest and (code not in _WHOLE or value == round(value)):
+            return _number(code, value)
+    except (KeyError, ValueError):  # no number of this type
+        pass
+    raise ConfigError("words", f"{word!r} is not a value of {type_name}")
 
 
 # -- layouts ----------------------------------------------------------------------------------------------------------

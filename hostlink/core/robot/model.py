@@ -5,7 +5,8 @@ device's protocol.
 
 | endpoint to the device                                       | what it is                                            |
 |--------------------------------------------------------------|-------------------------------------------------------|
-| what a robot's settings name as its command                  | the command of that robot                             |
+| what a robot's settings name as its command                  | the command of that robot; while one of these topics  |
+|                                                              | is missing, what is a command by itself               |
 | Twist, TwistStamped with a name that tells of motion;        | a command by itself                                   |
 | AckermannDrive, AckermannDriveStamped                        |                                                       |
 | a number, a text or a Twist whose name tells of motion       | unguarded: a finding says which setting makes a robot |
@@ -13,10 +14,11 @@ device's protocol.
 | everything else                                              | data                                                  |
 """
 
+import difflib
 import itertools
 import json
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -75,11 +77,13 @@ _STEERING: Final = re.compile(r"steer", re.IGNORECASE)
 _THROTTLE: Final = re.compile(r"throttle|speed|motor|pwm|drive|vel", re.IGNORECASE)
 # What a number of wheels needs besides its topics, in a suggestion.
 _WHEELS_NEED: Final = {
-    1: "",
-    2: "",
-    3: 'kinematics = "omni3"\nwheel_distance_m = 0.1\n',
-    4: 'kinematics = "skid_steer"\n',
+    1: (),
+    2: (),
+    3: ('kinematics = "omni3"', "wheel_distance_m = 0.1"),
+    4: ('kinematics = "skid_steer"',),
 }
+_UNSIGNED: Final = "std_msgs/UInt"
+_SHORT: Final = "std_msgs/Int8"  # holds at most 127
 
 
 class Endpoint(NamedTuple):
@@ -116,7 +120,7 @@ class Role(StrEnum):
 
 
 class CommandSettings(NamedTuple):
-    """Settings of one robot's command. Topics are as the device names them."""
+    """Settings of one robot's command. Topics are as the device names them, with or without a slash in front."""
 
     kind: CommandKind | None = None  # None: it is recognised
     topics: tuple[str, ...] = ()  # that command it; empty: they are recognised
@@ -130,6 +134,80 @@ class CommandSettings(NamedTuple):
 
 
 NO_SETTINGS: Final = CommandSettings()
+_ONE_TOPIC: Final = (CommandKind.JOY, CommandKind.WORDS, CommandKind.VECTOR)
+_MOST_NAMED: Final = 8  # topics of a device, in a sentence
+
+
+def plain(name: str) -> str:
+    """Return a name without the slash in front: boards and people write it with or without one."""
+    return name.lstrip("/")
+
+
+def matched(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> CommandSettings:
+    """Return the settings with the names of topics as this device announces them. Others stay as they are."""
+    taken = [each.name for each in endpoints if each.is_to_device]
+    sent = [each.name for each in endpoints if not each.is_to_device]
+    return settings._replace(
+        topics=tuple(_announced(name, taken) for name in settings.topics),
+        odometry=settings.odometry and _announced(settings.odometry, sent),
+        ignored=_all_announced(settings.ignored, taken),
+        locked=_all_announced(settings.locked, taken),
+    )
+
+
+def _announced(name: str, names: Sequence[str]) -> str:
+    return name if name in names else next((each for each in names if plain(each) == plain(name)), name)
+
+
+def _all_announced(wanted: frozenset[str], names: Sequence[str]) -> frozenset[str]:
+    known = set(map(plain, wanted))
+    return wanted | {name for name in names if plain(name) in known} if known else wanted
+
+
+def has_command(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> bool:
+    """Whether a device has every topic that the settings name as the robot's command."""
+    names = {plain(each.name) for each in endpoints if each.is_to_device}
+    return names.issuperset(map(plain, settings.topics))
+
+
+def misfit(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> str:
+    """Return which topics the settings name as the command and the devices do not announce; empty: none."""
+    taken = {plain(each.name): each for each in endpoints if each.is_to_device}
+    missing = [name for name in settings.topics if plain(name) not in taken]
+    if not missing:
+        return ""
+    key = "command_topic" if settings.kind is None else f"{settings.kind}.topics"
+    if settings.kind in _ONE_TOPIC:
+        key = f"{settings.kind}.topic"
+    shown = [f"{each.name} ({each.type_name})" for each in taken.values()][:_MOST_NAMED]
+    topics = f"its topics are {', '.join(shown)}" if shown else "it takes no topic"
+    return f"{key} names {' and '.join(missing)}, which the board does not announce{nearest(missing, taken)}; {topics}"
+
+
+def unannounced(settings: CommandSettings, endpoints: Sequence[Endpoint], services: Collection[str]) -> str:
+    """Return which other names of the settings no device of the robot announces; empty: none."""
+    taken = [each.name for each in endpoints if each.is_to_device]
+    sent = [each.name for each in endpoints if not each.is_to_device]
+    lines = []
+    for key, wanted, known in (
+        ("locked_topics", sorted(settings.locked), taken),
+        ("not_commands", sorted(settings.ignored), taken),
+        ("feedback.topic", [settings.odometry or ""], sent),
+        ("stop_service", [settings.stop_service or ""], services),
+    ):
+        missing = [name for name in wanted if name and plain(name) not in set(map(plain, known))]
+        if missing:
+            text = f"{key} names {' and '.join(missing)}, which the board does not announce{nearest(missing, known)}"
+            lines.append(text)
+    return "; ".join(lines)
+
+
+def nearest(missing: Sequence[str], known: Iterable[str]) -> str:
+    """Return a question after the names that are nearest to missing ones; empty: none is near."""
+    names = sorted({plain(name) for name in known})
+    near = [difflib.get_close_matches(plain(name), names, n=1) for name in missing]
+    found = dict.fromkeys(name for each in near for name in each)
+    return f" (did you mean {' and '.join(found)}?)" if found else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,41 +389,55 @@ def suggest(
         chosen = f"{name}_{number}"
 
 
-def suggestion(suspects: Sequence[Endpoint], name: str, address: str, *, is_robot: bool = False) -> str:
+def suggestion(
+    suspects: Sequence[Endpoint], name: str, address: str, *, is_robot: bool = False, is_configured: bool = False
+) -> str:
     """Return lines of hostlink.toml that make a robot of a device with these unguarded endpoints.
 
     `name` and `address` are the robot's. A type that hostlink cannot encode is refused by a lock at least, and so are
-    the topics of a device that is a robot already.
+    the topics of a device that is a robot already. `is_configured`: the file has a table of this name.
     """
-    topics = ", ".join(_quoted(each.name) for each in suspects)
-    if is_robot:
-        key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
-        return f"[robots.{key}]\nlocked_topics = [{topics}]"
-    address_line = f"[robots.{name}]\naddress = {_quoted(address)}\n"
+    table, keys = _suggested(suspects, is_robot=is_robot)
+    key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
+    if not (is_robot or is_configured):
+        keys = [f"address = {_quoted(address)}", *keys]
+    lines = [f"[robots.{key}]", *keys] if keys else []
+    if table:
+        lines += [f"[robots.{key}.{table[0]}]", *table[1:]]
+    return "\n".join(lines)
+
+
+def _suggested(suspects: Sequence[Endpoint], *, is_robot: bool) -> tuple[list[str], list[str]]:
+    """Return the name and the lines of the table that makes a robot of these endpoints, and lines of the robot's own.
+
+    The number at rest of a motor that takes no number below zero is not known: such a motor would turn at once.
+    """
     by_type: dict[str, list[str]] = {}
-    for each in suspects:
+    for each in () if is_robot else suspects:
         by_type.setdefault(each.type_name, []).append(each.name)
     for type_name, names in by_type.items():
-        first = names[0]
+        first = _quoted(names[0])
+        is_number = type_name in NUMBER_TYPES
         if type_name in _TWISTS:
-            return f"{address_line}command_topic = {_quoted(first)}"
+            return [], [f"command_topic = {first}"]
         if type_name == VECTOR_TYPE:
-            return f'{address_line}[robots.{name}.vector]\ntopic = {_quoted(first)}\nfields = ["x", "y", "yaw"]'
-        throttle = _throttle_topics(suspects) if type_name in NUMBER_TYPES else []
-        if throttle:
-            listed = ", ".join(map(_quoted, throttle))
-            return f'{address_line}[robots.{name}.throttle]\ntopics = [{listed}]\nunit = "pwm"'
-        wheels = [first] if type_name in ARRAY_TYPES else _wheel_topics(suspects) if type_name in NUMBER_TYPES else []
-        if len(wheels) in _WHEELS_NEED:
-            listed = ", ".join(map(_quoted, wheels))
-            need = _WHEELS_NEED[len(wheels)]
-            return f'{address_line}{need}[robots.{name}.wheels]\ntopics = [{listed}]\nunit = "pwm"'
+            return ["vector", f"topic = {first}", 'fields = ["x", "y", "yaw"]'], []
+        throttle = _throttle_topics(suspects) if is_number else []
+        wheels = names[:1] if type_name in ARRAY_TYPES else _wheel_topics(suspects) if is_number else []
+        numbers = {each.type_name for each in suspects if each.name in (throttle or wheels)}
+        is_known = (throttle or len(wheels) in _WHEELS_NEED) and not any(each.startswith(_UNSIGNED) for each in numbers)
+        if is_known:
+            full = ["full = 127"] if any(each.startswith(_SHORT) for each in numbers) else []
+            table = [f"topics = [{', '.join(map(_quoted, throttle or wheels))}]", 'unit = "pwm"', *full]
+            if throttle:
+                return ["throttle", *table], []
+            return ["wheels", *table], [*_WHEELS_NEED[len(wheels)]]
         if type_name == JOY_TYPE:
-            return f"{address_line}[robots.{name}.joy]\ntopic = {_quoted(first)}\nx_axis = 1\nyaw_axis = 0"
+            return ["joy", f"topic = {first}", "x_axis = 1", "yaw_axis = 0"], []
         if type_name in TEXT_TYPES:
-            words = 'forward = "F"\nbackward = "B"\nleft = "L"\nright = "R"\nstop = "S"'
-            return f"{address_line}[robots.{name}.words]\ntopic = {_quoted(first)}\n{words}"
-    return f"{address_line}locked_topics = [{topics}]"
+            words = ('forward = "F"', 'backward = "B"', 'left = "L"', 'right = "R"', 'stop = "S"')
+            return ["words", f"topic = {first}", *words], []
+    return [], [f"locked_topics = [{', '.join(_quoted(each.name) for each in suspects)}]"]
 
 
 def _quoted(text: str) -> str:
@@ -359,15 +451,15 @@ def _quoted(text: str) -> str:
 def _commands(endpoints: Sequence[Endpoint], settings: CommandSettings) -> tuple[tuple[TopicType, ...], CommandKind]:
     """Return the command topics of a device, and their kind. Empty: it takes no velocity."""
     to_device = [each for each in endpoints if each.is_to_device]
-    if settings.topics:
-        types = {each.name: each.type_name for each in to_device}
-        found = tuple(TopicType(name, types[name]) for name in settings.topics if name in types)
-        if len(found) < len(settings.topics):
-            return (), CommandKind.TWIST
+    types = {each.name: each.type_name for each in to_device}
+    if settings.topics and types.keys() >= set(settings.topics):
+        found = tuple(TopicType(name, types[name]) for name in settings.topics)
         kind = settings.kind
         if kind is None:
             kind = CommandKind.ACKERMANN if found[0].type_name in ACKERMANN_TYPES else CommandKind.TWIST
         return found, kind
+    if settings.topics and settings.devices:  # another of the robot's devices may have them
+        return (), CommandKind.TWIST
     likely = [each for each in to_device if is_velocity(each, settings.ignored)]
     poses = [each for each in endpoints if _is_pose(each)]
     if not likely and poses:  # what has a pose and takes a Twist is a robot by any name of the Twist
@@ -481,8 +573,10 @@ def _throttle_topics(suspects: Sequence[Endpoint]) -> list[str]:
 
 def select(settings: Mapping[str, CommandSettings], endpoints: Sequence[Endpoint]) -> str | None:
     """Return the robot whose settings name command topics that the device has, all of them; None if there is none."""
-    names = {each.name for each in endpoints if each.is_to_device}
-    return next((name for name, each in settings.items() if each.topics and names.issuperset(each.topics)), None)
+    names = {plain(each.name) for each in endpoints if each.is_to_device}
+    return next(
+        (name for name, each in settings.items() if each.topics and names.issuperset(map(plain, each.topics))), None
+    )
 
 
 # -- names ------------------------------------------------------------------------------------------------------------

@@ -17,6 +17,8 @@ from hostlink.core.robot.model import (
     Endpoint,
     RobotTopicNames,
     find_robot,
+    has_command,
+    matched,
     select,
 )
 from hostlink.core.robot.parts import Membership, place_in, takes_velocity
@@ -88,6 +90,7 @@ class Origin(NamedTuple):
     address: str
     peer: str  # the address with its port; of a serial port the path
     is_unnamed: bool = False  # neither namespace nor topic tell a name
+    unfit: frozenset[str] = frozenset()  # robots whose settings at this address name topics that the device lacks
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +154,15 @@ class Places:
         return name in self._configured
 
     def at(self, origin: Origin) -> list[str]:
-        """The robots that are configured where the device is."""
+        """The robots that are configured where the device is, without those that it cannot be."""
         names = self._names.get(origin.peer, [])
-        return names if origin.peer == origin.address else [*names, *self._names.get(origin.address, [])]
+        if origin.peer != origin.address:
+            names = [*names, *self._names.get(origin.address, [])]
+        return [name for name in names if name not in origin.unfit] if origin.unfit else names
+
+    def nearest(self, origin: Origin) -> list[str]:
+        """The robots that are configured at the device's port, or else at its address."""
+        return self._names.get(origin.peer) or self._names.get(origin.address, [])
 
     def differ(self, one: Origin, other: Origin) -> bool:
         """Whether the settings tell two devices of one address apart by their ports."""
@@ -395,6 +404,18 @@ class _Entry:
     is_waiting: bool = False  # for the place of its member: another device has it
     is_certain: bool = False
     replaced_at_s: float = -math.inf  # when it replaced another link
+    lacks_command: bool = False  # its settings name topics that it lacks
+
+
+class _Described(NamedTuple):
+    """Settings that describe a device, and the robot that it is if it has their topics.
+
+    `unfit`: robots of its address that it cannot be, because it lacks their topics.
+    """
+
+    chosen: str | None
+    settings: CommandSettings
+    unfit: frozenset[str] = frozenset()
 
 
 class Directory:
@@ -483,9 +504,14 @@ class Directory:
         entry, is_new = self._entries.get(link), False
         if entry is None or entry.key != key or entry.member != member:
             self._release(link)
-            origin = Origin("" if robot is None else robot.name, address, peer, is_unnamed)
+            unfit = self._described(topics, Origin("", address, peer)).unfit
+            origin = Origin("" if robot is None else robot.name, address, peer, is_unnamed, unfit)
             was_waiting = entry is not None and entry.is_waiting and entry.member == member
-            entry, is_new = _Entry(origin, key, now_s, member=member, is_waiting=was_waiting), True
+            lacks_command = member is None and not has_command(settings, topics)
+            entry, is_new = (
+                _Entry(origin, key, now_s, member=member, is_waiting=was_waiting, lacks_command=lacks_command),
+                True,
+            )
             self._entries[link] = entry
         replaces = None
         if not entry.is_settled:
@@ -539,39 +565,52 @@ class Directory:
         other = self._names.links.get(member.robot)
         return other is not None and other != link and self._entries[other].member != member
 
-    def _described(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[str | None, CommandSettings]:
+    def _described(self, topics: Sequence[Endpoint], origin: Origin) -> _Described:
         """Return the robot whose settings describe a device, and these settings.
 
-        Settings with the device's address precede; then those without an address whose topics the device has.
+        Settings with the device's address precede; then those without an address whose topics the device has. The only
+        ones of its address describe it also if it lacks their topics: one of them may have a wrong name.
         """
-        here = {name: self._settings[name] for name in self._names.places.at(origin) if name in self._settings}
-        free = {name: each for name, each in self._settings.items() if not self._names.places.has(name)}
-        chosen = select(here, topics) or select(free, topics)
+        places = self._names.places
+        here = {name: self._settings[name] for name in places.at(origin) if name in self._settings}
+        chosen = select(here, topics) or select(self._free, topics)
         if chosen is not None:
-            return chosen, self._settings[chosen]
-        return None, next(iter(here.values()), NO_SETTINGS)
+            return _Described(chosen, self._settings[chosen])
+        recognising = [each for each in here.values() if not each.topics]
+        only = places.nearest(origin)
+        if not recognising and len(only) == 1:
+            return _Described(None, here.get(only[0], NO_SETTINGS))
+        unfit = frozenset(name for name, each in here.items() if each.topics)
+        return _Described(None, next(iter(recognising), NO_SETTINGS), unfit)
 
     def find(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[RobotTopicNames | None, CommandSettings]:
-        """Return the robot that a device is, by its topics and the settings, and these; None: it takes no velocity."""
+        """Return the robot that a device is, by its topics and the settings, and these; None: it takes no velocity.
+
+        The settings have the names of topics as the device announces them.
+        """
         member = self.member(topics, origin)
         if member is not None:
-            settings = self._settings[member.robot]
+            settings = matched(self._settings[member.robot], topics)
             is_commanded = takes_velocity(member.place, topics, settings)
             return find_robot(topics, settings) if is_commanded else None, settings
-        chosen, settings = self._described(topics, origin)
+        described = self._described(topics, origin)
+        settings = matched(described.settings, topics)
         robot = find_robot(topics, settings)
-        if robot is not None and chosen is not None:
-            return replace(robot, name=chosen), settings
+        if robot is not None and described.chosen is not None:
+            return replace(robot, name=described.chosen), settings
         named = NO_SETTINGS if robot is None else self._settings.get(robot.name, NO_SETTINGS)
-        if settings == NO_SETTINGS and named != NO_SETTINGS and not named.topics:
-            return find_robot(topics, named), named
+        if robot is not None and settings == NO_SETTINGS and named != NO_SETTINGS:
+            is_elsewhere = self._names.places.has(robot.name)
+            if not named.topics or not (is_elsewhere or named.is_spatial or named.devices):
+                named = matched(named, topics)
+                return find_robot(topics, named), named
         return robot, settings
 
     def explain(self, topics: Sequence[Endpoint], origin: Origin) -> tuple[RobotTopicNames | None, str | None]:
         """Return the robot that a device is by its own topics and settings, and the name that the settings give it."""
         member = self.member(topics, origin)
-        chosen = self._described(topics, origin)[0] if member is None else member.robot
-        given = next(iter(self._names.places.at(origin)), None)
+        chosen, _, unfit = self._described(topics, origin) if member is None else _Described(member.robot, NO_SETTINGS)
+        given = next(iter(self._names.places.at(origin._replace(unfit=unfit))), None)
         return self.find(topics, origin)[0], chosen if chosen is not None else given
 
     def misplaced(self, places: Places) -> dict[str, int | None]:
@@ -607,6 +646,8 @@ class Directory:
     def _set_commands(self, settings: Mapping[str, CommandSettings]) -> None:
         self._settings = dict(settings)
         self._of_several = {name: each for name, each in settings.items() if each.devices}
+        free = (name for name in settings if not self._names.places.has(name))
+        self._free = {name: settings[name] for name in free if settings[name].topics}
 
     def leave(self, link: int) -> None:
         """The device's link is gone."""
@@ -645,6 +686,9 @@ class Directory:
         name = None if replaces is None else self._entries[replaces].name
         if name is not None:
             return Named(name, not self._names.has_twins(entry.origin))
+        holder = self._entries.get(self._names.links.get(entry.origin.own, -1))
+        if holder is not None and holder.lacks_command and not entry.lacks_command:  # which only looked like this one
+            return Named(entry.origin.own, is_certain=True)
         named = self._names.choose(entry.origin)
         other = self._names.links.get(entry.origin.own)
         if other is not None and named.is_new_number and entry.origin.address != PLAYED:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hostlink.core.robot.feedback import recognised
-from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, namespace_of
+from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, misfit, namespace_of
 
 
 class Membership(NamedTuple):
@@ -51,8 +51,8 @@ def place_in(devices: Sequence[str], endpoints: Sequence[Endpoint], *, peer: str
     An address with its port precedes the address, and that precedes the name in front of the device's topics.
     """
     names = {namespace[0] for namespace in (namespace_of(each.name) for each in endpoints) if namespace}
-    found = (each for each in (peer, address, *sorted(names)) if each in devices)
-    return next(found, None)
+    exact = (each for each in (peer, address) if each in devices)
+    return next(exact, None) or next((each for each in devices if each.strip("/") in names), None)
 
 
 def takes_velocity(place: str, endpoints: Sequence[Endpoint], settings: CommandSettings) -> bool:
@@ -91,7 +91,8 @@ def parts_of(name: str, settings: CommandSettings, connected: Mapping[str, Seque
         verb = "is" if len(missing) == 1 else "are"
         why_not = f"its device {' and '.join(missing)} {verb} not connected"
     elif command is None:
-        why_not = _why_no_command(name, settings, connected)
+        every = [each for endpoints in connected.values() for each in endpoints]
+        why_not = misfit(settings, every) or _why_no_command(name, settings, connected)
     order = sorted(settings.devices, key=lambda place: place == command)  # stable
     feedback = tuple((place, each) for place in order for each in connected.get(place, ()) if not each.is_to_device)
     return Parts(command, why_not, feedback)

@@ -360,7 +360,8 @@ def _assigned(settings: WheelSettings, count: int, wheels: Sequence[str]) -> tup
         return [], f"wheels = [...] of its encoders, which names {count} of {', '.join(wheels)}"
     for name in names:
         if not any(_is_at(wheel, name) for wheel in wheels):
-            raise ConfigError("encoders", f"{name!r} is not a wheel of this drive: {', '.join(wheels)}, left or right")
+            *known, last = dict.fromkeys((*wheels, "left", "right"))
+            raise ConfigError("encoders", f"{name!r} is not a wheel of this drive: {', '.join(known)} or {last}")
     found = [next((i for i, name in enumerate(names) if _is_at(wheel, name)), None) for wheel in wheels]
     missing = [wheel for wheel, channel in zip(wheels, found, strict=True) if channel is None]
     return [channel for channel in found if channel is not None], ", ".join(missing) and (

@@ -137,6 +137,21 @@ def test_report_says_from_where_a_zenoh_session_can_be_reached() -> None:
             Config(robots={"a": RobotConfig(wheels=WheelsConfig(topics=("j",), joints=("l", "r", "m")))}),
             "robots.a: a JointState for 2 wheels needs as many names in `joints`",
         ),
+        *(
+            (Config(robots={"a": RobotConfig(wheel_separation_m=0.2, encoders=encoders)}), problem)
+            for encoders, problem in [
+                (
+                    EncodersConfig(topics=("l", "r"), wheels=("front_left", "right"), unit="m"),
+                    "robots.a: 'front_left' is not a wheel of this drive: left or right",
+                ),
+                (EncodersConfig(topics=("l",), unit="m"), "robots.a: a pose needs wheels = .*, which names 1 of left"),
+                (EncodersConfig(topics=("l", "r", "m"), unit="m"), "robots.a: a pose needs wheels = .*, which names 3"),
+                (
+                    EncodersConfig(topic="j", joints=("l",), wheels=("left",), unit="m"),
+                    "robots.a: a pose needs the encoders of right",
+                ),
+            ]
+        ),
         (
             Config(robots={"a": RobotConfig(uart_bytes_s=0)}),
             "robots.a.uart_bytes_s: 0 is not allowed; choose a finite number above 0",
@@ -202,7 +217,8 @@ def test_configuration_that_cannot_be_served_is_refused(config: Config, problem:
         ),
         (
             Config(robots={"a": RobotConfig(encoders=EncodersConfig(topic="ticks"))}),
-            "robots.a.encoders needs wheel_separation_m, without which they tell only whether the robot moves",
+            "robots.a.encoders needs wheel_separation_m, ticks_per_turn and wheel_radius_m, without which they tell "
+            "only whether the robot moves",
         ),
         (
             Config(robots={"a": RobotConfig(kinematics="ackermann", wheelbase_m=0.2)}),

@@ -84,7 +84,7 @@ def test_robot_without_a_name_and_odometry_is_explained(capsys: pytest.CaptureFi
         "  its motion is known by nothing: no odometry",
         "  topics that look like commands, and that nothing guards: /l_motor (std_msgs/Int16)",
         "  topics that set positions, without a lease: /arm (sensor_msgs/JointState)",
-        "  to change that, put these lines into hostlink.toml, and run `hostlink reload`:",
+        "  to change that, put these lines into hostlink.toml, and restart hostlink:",
         "    [robots.robot_0]",
         '    locked_topics = ["/l_motor"]',
     ]
@@ -190,7 +190,9 @@ def test_board_of_a_robot_of_several_is_explained_as_a_part_of_it(capsys: pytest
     ]
 
 
-def test_velocity_topics_of_no_robot_are_explained_without_limits(capsys: pytest.CaptureFixture[str]) -> None:
+def test_velocity_topics_in_space_are_explained_and_settings_that_name_a_wrong_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     drone = RobotConfig(command_topic="foo", kinematics="spatial")
     other = RobotConfig(address="10.0.0.3", command_topic="bar")
     out, _ = shown([FOO], [CAR], capsys=capsys, config=Config(robots={"drone": drone, "other": other}))
@@ -198,10 +200,11 @@ def test_velocity_topics_of_no_robot_are_explained_without_limits(capsys: pytest
         'link 1 (10.0.0.2) is not a robot of the plane, by kinematics = "spatial"',
         "  velocity topics, which take all six numbers, with a lease and a lock: /foo (geometry_msgs/Twist)",
     ]
-    assert lines_of(2, out) == [
-        "link 2 (10.0.0.3) is not a robot by its settings",
-        "  velocity topics, with a lease and a lock, and without limits: /cmd_vel (geometry_msgs/Twist)",
-    ]
+    assert lines_of(2, out)[0] == (
+        "link 2 (10.0.0.3) is the robot other: it takes velocities on /other/cmd_vel (geometry_msgs/Twist)"
+    )
+    problem = "command_topic names bar, which the board does not announce; its topics are cmd_vel (geometry_msgs/Twist)"
+    assert f"  its settings do not fit: {problem}" in lines_of(2, out)
 
 
 def test_topic_that_was_refused_is_named_with_its_reason(capsys: pytest.CaptureFixture[str]) -> None:

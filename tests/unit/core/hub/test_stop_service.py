@@ -39,10 +39,12 @@ async def drives(made: MemoryHub, device: ScriptedDevice) -> None:
     assert set(heard(device)) == {COMMAND}
 
 
-@pytest.mark.parametrize("type_name", ["std_srvs/Empty", "std_srvs/Trigger"])
-def test_every_zero_calls_the_service(type_name: str) -> None:
+@pytest.mark.parametrize(
+    ("type_name", "name"), [("std_srvs/Empty", "stop"), ("std_srvs/Trigger", "stop"), ("std_srvs/Empty", "/stop")]
+)
+def test_every_zero_calls_the_service(type_name: str, name: str) -> None:
     async def test(made: MemoryHub) -> None:
-        device = await made.connect(board(type_name))
+        device = await made.connect(board(type_name, name))
         await asyncio.sleep(2 * LEASE_S)
         assert len(device.payloads(STOP)) >= ZEROS  # it may move when it connects
         await drives(made, device)

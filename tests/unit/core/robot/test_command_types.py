@@ -1,6 +1,7 @@
 """Ways to command a robot: what each encodes is read with the catalog's type, and decoded again."""
 
 import math
+import re
 import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -227,6 +228,62 @@ def test_topics_that_do_not_fit_the_wheels_are_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=reason):
         WheelCommand([topic(each) for each in types], TWO_WHEELS, [SPEED] * count, joints=joints)
+
+
+def bounded(full: float, rest: float) -> WheelScale:
+    return WheelScale(full / 0.3, 1.0, rest, rest - full, rest + full, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("type_name", "scale", "reason"),
+    [
+        (
+            "std_msgs/UInt8",
+            bounded(500, 1500),
+            "is sent 1000 to 2000, and std_msgs/UInt8 holds 0 to 255: choose a rest",
+        ),
+        ("std_msgs/UInt8", bounded(255, 0), "is sent -255 to 255, and std_msgs/UInt8 holds 0 to 255"),
+        ("std_msgs/Int8", bounded(255, 0), "is sent -255 to 255, and std_msgs/Int8 holds -128 to 127"),
+        ("std_msgs/Int16", WheelScale(1.0, rest=40000), "is sent 40000, and std_msgs/Int16 holds -32768 to 32767"),
+        ("std_msgs/Int16", WheelScale(1.0, rest=0.5), "std_msgs/Int16 cannot hold rest = 0.5: choose a whole number"),
+        ("std_msgs/Int16", WheelScale(1.0, top=0.5), "is sent at most 0.5, and std_msgs/Int16 holds whole numbers"),
+        ("std_msgs/Int8", WheelScale(100.0, top=5.0), "is sent -500 to 500, and std_msgs/Int8 holds -128 to 127"),
+        ("std_msgs/Float32", bounded(1e39, 0), "is sent -1e.39 to 1e.39, and std_msgs/Float32 holds"),
+        ("std_msgs/Int16MultiArray", WheelScale(1.0, top=0.5), "is sent at most 0.5"),
+        ("std_msgs/UInt8", bounded(127, 128), None),
+        ("std_msgs/Int8", bounded(1, 0), None),  # a motor that only turns or does not
+        ("std_msgs/Int16", WheelScale(20.0, top=0.25), None),
+        ("std_msgs/Float32", WheelScale(1.0, top=0.5), None),
+        ("std_msgs/Float64", bounded(1e39, 0.5), None),
+    ],
+)
+def test_numbers_that_the_type_cannot_hold_are_refused(type_name: str, scale: WheelScale, reason: str | None) -> None:
+    count = 1 if "Array" in type_name else 2
+    topics = [topic(type_name, f"/wheel{number}") for number in range(count)]
+    if reason is None:
+        assert WheelCommand(topics, TWO_WHEELS, [scale] * 2).topics == tuple(topics)
+        return
+    with pytest.raises(ConfigError, match=reason):
+        WheelCommand(topics, TWO_WHEELS, [scale] * 2)
+    if count > 1:
+        with pytest.raises(ConfigError, match=reason):
+            ThrottleCommand((topic("std_msgs/Float64"), topics[1]), CAR, SPEED, scale)
+
+
+@pytest.mark.parametrize(
+    ("type_name", "word"),
+    [
+        ("std_msgs/Float32", "nan"),
+        ("std_msgs/Float64", "inf"),
+        ("std_msgs/Float32", "1e39"),
+        ("std_msgs/UInt8", "256"),
+        ("std_msgs/UInt8", "-1"),
+        ("std_msgs/Int16", "0.5"),
+    ],
+)
+def test_word_that_a_number_cannot_hold_is_refused(type_name: str, word: str) -> None:
+    with pytest.raises(ConfigError, match=f"'{re.escape(word)}' is not a value of {type_name}"):
+        WordCommand(topic(type_name), Words("1", "2", "3", word, "0"), FULL)
 
 
 def test_wheels_that_differ_in_type_get_one_number_each() -> None:

@@ -323,7 +323,7 @@ def test_counts_without_a_dimension_say_whether_the_robot_moves(
 @pytest.mark.parametrize(
     ("offered", "settings", "problem"),
     [
-        (PAIR, {"wheels": ("left", "middle")}, "'middle' is not a wheel of this drive: left, right"),
+        (PAIR, {"wheels": ("left", "middle")}, "'middle' is not a wheel of this drive: left or right"),
         (PAIR, {"wheels": ("left",)}, "wheels has 1 entries for 2 wheels"),
         (PAIR, {"directions": (1,)}, "directions has 1 entries for 2 wheels"),
         ([("left_ticks", "std_msgs/String"), PAIR[1]], {}, "std_msgs/String has no counts or speeds of wheels"),

@@ -16,12 +16,15 @@ from hostlink.core.robot.model import (
     find_robot,
     is_velocity,
     leaf_of,
+    matched,
+    misfit,
     name_of,
     namespace_of,
     roles,
     select,
     suggest,
     suggestion,
+    unannounced,
     unguarded,
 )
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
@@ -97,6 +100,61 @@ def test_a_spatial_command_belongs_to_no_robot() -> None:
 
 
 @pytest.mark.parametrize(
+    ("settings", "endpoints", "text"),
+    [
+        (CommandSettings(), [to("cmd_vel")], ""),
+        (CommandSettings(topics=("/cmd_vel",)), [to("cmd_vel")], ""),
+        (
+            CommandSettings(topics=("cmd_vle",)),
+            [to("cmd_vel"), sent("cmd_vle")],
+            "command_topic names cmd_vle, which the board does not announce (did you mean cmd_vel?); "
+            "its topics are cmd_vel (geometry_msgs/Twist)",
+        ),
+        (
+            CommandSettings(CommandKind.WHEELS, ("/left", "rigth")),
+            [to("left", INT16), to("right", INT16)],
+            "wheels.topics names rigth, which the board does not announce (did you mean right?); "
+            "its topics are left (std_msgs/Int16), right (std_msgs/Int16)",
+        ),
+        (
+            CommandSettings(CommandKind.JOY, ("joy",)),
+            [],
+            "joy.topic names joy, which the board does not announce; it takes no topic",
+        ),
+    ],
+)
+def test_topics_of_the_settings_that_a_board_lacks_are_named_with_the_nearest(
+    settings: CommandSettings, endpoints: list[Endpoint], text: str
+) -> None:
+    assert misfit(settings, endpoints) == text
+
+
+def test_other_names_of_the_settings_that_no_board_announces_are_named_with_the_nearest() -> None:
+    settings = CommandSettings(
+        odometry="ododm", ignored=frozenset({"x", "/led"}), locked=frozenset({"grippper", "/arm"}), stop_service="hlt"
+    )
+    endpoints = [to("gripper"), to("arm"), to("led"), sent("odom")]
+    assert unannounced(settings, endpoints, ["halt"]) == (
+        "locked_topics names grippper, which the board does not announce (did you mean gripper?); "
+        "not_commands names x, which the board does not announce; "
+        "feedback.topic names ododm, which the board does not announce (did you mean odom?); "
+        "stop_service names hlt, which the board does not announce (did you mean halt?)"
+    )
+    assert unannounced(CommandSettings(odometry=""), endpoints, []) == ""
+
+
+def test_settings_get_the_names_that_the_board_announces() -> None:
+    settings = CommandSettings(
+        topics=("/go", "b"), odometry="/odom", ignored=frozenset({"/x"}), locked=frozenset({"arm", "none"})
+    )
+    endpoints = [to("go"), to("b"), to("/b"), to("x"), to("/arm"), sent("odom"), sent("/none")]
+    ours = matched(settings, endpoints)
+    assert (ours.topics, ours.odometry) == (("go", "b"), "odom")
+    assert (ours.ignored, ours.locked) == ({"/x", "x"}, {"arm", "/arm", "none"})
+    assert matched(CommandSettings(odometry=""), endpoints) == CommandSettings(odometry="")
+
+
+@pytest.mark.parametrize(
     ("settings", "topics", "kind"),
     [
         (CommandSettings(topics=("go",)), ("go",), CommandKind.TWIST),
@@ -111,9 +169,14 @@ def test_settings_name_the_command(settings: CommandSettings, topics: tuple[str,
     assert (tuple(each.name for each in robot.commands), robot.kind) == (topics, kind)
 
 
-def test_settings_whose_topics_the_device_lacks_make_no_robot() -> None:
+def test_settings_whose_topics_the_device_lacks_leave_it_what_it_is_by_itself() -> None:
     settings = CommandSettings(CommandKind.WHEELS, ("left", "right"))
-    assert find_robot([to("left", INT16), sent("right", INT16), to("cmd_vel")], settings) is None
+    wheels = [to("left", INT16), sent("right", INT16)]
+    assert find_robot(wheels, settings) is None
+    robot = found(*wheels, to("cmd_vel"), settings=settings)
+    assert (robot.velocity, robot.kind) == ("cmd_vel", CommandKind.TWIST)
+    of_several = settings._replace(devices=("here", "there"))  # another board may have the wheels
+    assert find_robot([*wheels, to("cmd_vel")], of_several) is None
 
 
 def test_select_returns_the_settings_whose_topics_the_device_has() -> None:
@@ -418,12 +481,22 @@ def test_suggestion_for_each_type() -> None:
     for type_name in (STRING_TYPE, CHAR):
         words = {"topic": "cmd", "forward": "F", "backward": "B", "left": "L", "right": "R", "stop": "S"}
         assert suggested(to("cmd", type_name)) == {"words": words}
-    for type_name in ARRAY_TYPES:
-        assert suggested(to("motors", type_name), to("more", type_name)) == {
-            "wheels": {"topics": ["motors"], "unit": "pwm"}
-        }
-    for type_name in NUMBER_TYPES:
-        assert suggested(to("motor", type_name)) == {"wheels": {"topics": ["motor"], "unit": "pwm"}}
+    for type_name in (*ARRAY_TYPES, *NUMBER_TYPES):
+        wheels: dict[str, object] = {"topics": ["motors"], "unit": "pwm"}
+        if "Int8" in type_name:
+            wheels["full"] = 127
+        robot: dict[str, object] = {"wheels": wheels}
+        if "UInt" in type_name:  # the number at rest may be one in the middle, at which another motor turns
+            robot = {"locked_topics": ["motors"]}
+        assert suggested(to("motors", type_name)) == robot
+
+
+def test_suggestion_for_a_table_that_is_there_repeats_nothing_of_it() -> None:
+    text = suggestion(numbers("l", "r"), "car", "", is_configured=True)
+    assert text == '[robots.car.wheels]\ntopics = ["l", "r"]\nunit = "pwm"'
+    four = suggestion(numbers("m1", "m2", "m3", "m4"), "car", "", is_configured=True)
+    assert four.startswith('[robots.car]\nkinematics = "skid_steer"\n[robots.car.wheels]\n')
+    assert suggestion([to("go", TWIST)], "car", "", is_configured=True) == '[robots.car]\ncommand_topic = "go"'
 
 
 def test_suggestion_for_a_robot_lets_its_lock_refuse_the_topics_and_keeps_its_command() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.core.robot.command_types import TopicType
-from hostlink.core.robot.model import CommandKind, CommandSettings, Endpoint, RobotTopicNames, find_robot
+from hostlink.core.robot.model import NO_SETTINGS, CommandKind, CommandSettings, Endpoint, RobotTopicNames, find_robot
 from hostlink.core.robot.names import ANSWER_S, SURE_S, Accepted, Directory, Origin, Places, Undecided, is_played
 from hostlink.core.robot.parts import Membership
 from hostlink.core.robot.velocity import TWIST_TYPE
@@ -694,7 +694,35 @@ def test_settings_without_an_address_belong_to_the_device_that_announces_their_n
     assert (claim.robot.name, claim.robot.odometry, claim.settings) == ("rover", "/rover/pose", settings)
     others = Clocked({"rover": None}, {"rover": settings._replace(topics=("/drive",))}).claim(1, HOME, topics)
     assert isinstance(others, Accepted)
-    assert (others.robot.name, others.robot.odometry) == ("rover", "/rover/odom")  # it is commanded otherwise
+    assert (others.robot.name, others.robot.odometry) == ("rover", "/rover/pose")  # also with a wrong topic
+
+
+def test_device_with_a_wrong_topic_has_the_name_of_its_address_until_the_right_one_connects() -> None:
+    ours = Clocked({"car": HOME}, {"car": TWO_MOTORS})
+    assert accepted(ours, 1, HOME, paper_robot()) == ("car", None)
+    assert accepted(ours, 2, HOME, MOTORS) == ("car", 1)
+    assert accepted(ours, 3, HOME, paper_robot()) == ("robot_0", None)
+
+
+def test_device_without_the_topics_of_several_robots_of_its_address_is_none_of_them() -> None:
+    others = TWO_MOTORS._replace(topics=("a", "b"))
+    ours = Clocked({"car": HOME, "van": HOME}, {"car": TWO_MOTORS, "van": others})
+    assert accepted(ours, 1, HOME, paper_robot()) == ("robot_0", None)
+    assert ours.directory.explain(paper_robot(), AT_HOME)[1] is None
+    assert accepted(ours, 2, HOME, MOTORS) == ("car", None)
+    more = Clocked({"car": HOME, "any": HOME}, {"car": TWO_MOTORS, "any": CommandSettings(odometry="")})
+    claim = more.claim(1, HOME, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert (claim.robot.name, claim.settings.odometry) == ("any", "")
+
+
+def test_settings_with_a_wrong_topic_do_not_describe_a_namesake_at_another_address_or_in_space() -> None:
+    topics = [to_device("/rover/cmd_vel")]
+    for address, settings in ((AWAY, TWO_MOTORS), (None, TWO_MOTORS._replace(is_spatial=True))):
+        claim = Clocked({"rover": address}, {"rover": settings}).claim(1, HOME, topics)
+        assert isinstance(claim, Accepted)
+        assert claim.robot is not None
+        assert claim.settings == NO_SETTINGS
 
 
 def test_explanation_names_the_robot_of_the_settings_and_what_the_device_calls_itself() -> None:

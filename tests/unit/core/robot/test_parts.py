@@ -111,6 +111,8 @@ def test_device_is_found_by_its_address_with_port_then_address_then_name() -> No
     assert place_in(devices, named, peer="10.0.0.2:4001", address="10.0.0.2") == "10.0.0.2"
     assert place_in(devices, named, peer="10.0.0.3:4001", address="10.0.0.3") == "base"
     assert place_in(devices, [POSE], peer="10.0.0.3:4001", address="10.0.0.3") is None
+    for slashed in ("/base", "base/"):
+        assert place_in((slashed, "enc"), named, peer="10.0.0.3:4001", address="10.0.0.3") == slashed
 
 
 @given(st.dictionaries(st.sampled_from([MOTORS, WHEELS, "base"]), st.lists(st.sampled_from([COMMAND, POSE, RANGE]))))
