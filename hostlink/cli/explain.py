@@ -1,6 +1,6 @@
 """Text of `hostlink robots --explain`, and of what a list of robots warns of. Pure."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 ROLES = {  # by the roles of a device's topics; commands, velocities and feedback have sentences of their own
@@ -14,8 +14,9 @@ KNOWN_BY = {"pose": "pose", "velocity": "velocity", "motion": "whether it moves"
 
 def explanation(devices: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return why each device is a robot or is not one."""
-    given = dict[str, str]()
-    return [line for device in devices for line in (*_of_device(device), *_advice(device, given))]
+    given, devices = dict[str, str](), list(devices)
+    driven = {device["robot"] for device in devices}
+    return [line for device in devices for line in (*_of_device(device, driven), *_advice(device, given))]
 
 
 def warnings(devices: Iterable[Mapping[str, Any]], lock_reason: str | None) -> list[str]:
@@ -50,7 +51,7 @@ def _place(device: Mapping[str, Any]) -> str:
     return f"link {device['link']} ({device['peer']})"
 
 
-def _of_device(device: Mapping[str, Any]) -> Iterator[str]:
+def _of_device(device: Mapping[str, Any], driven: Collection[str]) -> Iterator[str]:
     named: dict[str, list[str]] = {}
     for topic in device["topics"]:
         named.setdefault(topic["role"], []).append(f"{topic['name']} ({topic['type']})")
@@ -67,7 +68,8 @@ def _of_device(device: Mapping[str, Any]) -> Iterator[str]:
     elif device["refused"] and device.get("part_of") is None:
         yield f"{place} is not a robot: the settings do not fit its topics: {device['refused']}"
     elif device.get("part_of") is not None:  # an older daemon does not say it
-        yield f"{place} is a part of the robot {device['part_of']}, which takes its velocities on another device"
+        how = "takes its velocities on another device" if device["part_of"] in driven else "no device commands"
+        yield f"{place} is a part of the robot {device['part_of']}, which {how}"
         if device["refused"]:
             yield f"  its settings do not fit: {device['refused']}"
         if named.get("feedback"):

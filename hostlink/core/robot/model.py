@@ -181,7 +181,7 @@ def misfit(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> str:
         key = f"{settings.kind}.topic"
     shown = [f"{each.name} ({each.type_name})" for each in taken.values()][:_MOST_NAMED]
     topics = f"its topics are {', '.join(shown)}" if shown else "it takes no topic"
-    return f"{key} names {' and '.join(missing)}, which the board does not announce{nearest(missing, taken)}; {topics}"
+    return f"{key} names {' and '.join(missing)}, which {_nobody(settings)}{nearest(missing, taken)}; {topics}"
 
 
 def unannounced(settings: CommandSettings, endpoints: Sequence[Endpoint], services: Collection[str]) -> str:
@@ -197,9 +197,12 @@ def unannounced(settings: CommandSettings, endpoints: Sequence[Endpoint], servic
     ):
         missing = [name for name in wanted if name and plain(name) not in set(map(plain, known))]
         if missing:
-            text = f"{key} names {' and '.join(missing)}, which the board does not announce{nearest(missing, known)}"
-            lines.append(text)
+            lines.append(f"{key} names {' and '.join(missing)}, which {_nobody(settings)}{nearest(missing, known)}")
     return "; ".join(lines)
+
+
+def _nobody(settings: CommandSettings) -> str:
+    return "none of its boards announces" if settings.devices else "the board does not announce"
 
 
 def nearest(missing: Sequence[str], known: Iterable[str]) -> str:

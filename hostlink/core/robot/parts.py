@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hostlink.core.robot.feedback import recognised
-from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, misfit, namespace_of
+from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, misfit, namespace_of, plain
 
 
 class Membership(NamedTuple):
@@ -61,13 +61,10 @@ def takes_velocity(place: str, endpoints: Sequence[Endpoint], settings: CommandS
 
 
 def _why_no_command(name: str, settings: CommandSettings, connected: Mapping[str, Sequence[Endpoint]]) -> str:
-    """Return why none of the devices, which are all connected, commands the robot."""
-    taken = [(each.name, place) for place in settings.devices for each in connected[place] if each.is_to_device]
+    """Return why none of the devices commands the robot. They are connected, and take all topics of the settings."""
+    taken = [(plain(each.name), place) for place in settings.devices for each in connected[place] if each.is_to_device]
     first = dict(reversed(taken))
-    absent = [topic for topic in settings.topics if topic not in first]
-    if absent:
-        return f"none of its devices takes {' and '.join(absent)}, as [robots.{name}] says"
-    places = {topic: first[topic] for topic in settings.topics}
+    places = {topic: first[plain(topic)] for topic in settings.topics}
     if len(set(places.values())) > 1:
         split = ", ".join(f"{topic} on {place}" for topic, place in places.items())
         return f"its command topics must be on one device, and they are on several: {split}"

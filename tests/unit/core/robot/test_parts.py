@@ -77,7 +77,8 @@ WHEELS_ON_TWO = BOTH._replace(kind=CommandKind.WHEELS, topics=("left_motor", "ri
         (
             WHEELS_ON_TWO,
             {MOTORS: [RANGE], WHEELS: [RIGHT]},
-            "none of its devices takes left_motor, as [robots.r] says",
+            "wheels.topics names left_motor, which none of its boards announces (did you mean right_motor?); "
+            "its topics are right_motor (std_msgs/Float32)",
         ),
         (
             WHEELS_ON_TWO._replace(command_device=MOTORS),

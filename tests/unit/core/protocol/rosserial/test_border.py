@@ -1,4 +1,4 @@
-"""What the daemon asks of a session of rosserial without knowing its protocol."""
+"""Session of rosserial at the border: what the daemon asks of it without knowing its protocol."""
 
 import pytest
 
