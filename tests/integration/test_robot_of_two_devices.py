@@ -493,7 +493,7 @@ def test_lock_of_a_robot_of_the_settings_holds_for_boards_that_connect_later(*, 
     in_hub(test, CHOSEN)
 
 
-def test_stream_to_a_robot_of_the_settings_goes_on_through_its_stop_and_first_connection_and_moves_nothing() -> None:
+def test_stream_that_continues_through_the_first_connection_of_a_robot_of_the_settings_moves_nothing() -> None:
     alone = Config(robots={"r": RobotConfig(address=MOTORS)})
 
     async def test(made: MemoryHub) -> None:

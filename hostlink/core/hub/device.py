@@ -286,7 +286,7 @@ class Device:
 
     @property
     def refused(self) -> str:
-        """Why its settings do not fit; empty if they do."""
+        """Return why its settings do not fit; empty if they do."""
         return self.refused_settings or self.unfit
 
     @property
