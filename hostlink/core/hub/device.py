@@ -381,7 +381,7 @@ class Device:
                     self.link.session.outbox.drop_commands(info.id)
         for info in self.unguarded:
             zero = self._zeros.get(info.name)
-            if zero is None:
+            if zero is None or self._why_no_zero(info):
                 self.link.session.outbox.drop_commands(info.id)
             else:
                 self.link.session.publish(info.name, zero, is_urgent=True)
