@@ -287,7 +287,11 @@ class Device:
 
     @property
     def refused(self) -> str:
+<<<<<<< HEAD
         """Reason why its settings do not fit; empty if they do."""
+=======
+        """Return why its settings do not fit; empty if they do."""
+>>>>>>> boards36
         return self.refused_settings or self.unfit
 
     @property
@@ -396,7 +400,7 @@ class Device:
                     self.link.session.outbox.drop_commands(info.id)
         for info in self.unguarded:
             zero = self._zeros.get(info.name)
-            if zero is None:
+            if zero is None or self._why_no_zero(info):
                 self.link.session.outbox.drop_commands(info.id)
             else:
                 self.link.session.publish(info.name, zero, is_urgent=True)

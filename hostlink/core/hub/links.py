@@ -361,8 +361,9 @@ class Links:
         self._hub.robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         self.on_named()
-        for each in list(self._devices.values()):
-            if each is device or (each.member is not None and each.member.robot in joined):
+        self._log_unguarded(device)
+        for each in self._devices.values() if joined else ():  # what does not fit together concerns all of them
+            if each is not device and each.member is not None and each.member.robot in joined:
                 self._log_unguarded(each)
         for message, read in device.early.pop_all():
             device.receive(message, read)
@@ -496,7 +497,7 @@ class Links:
         """Find the parts of robots of several devices anew. Return these robots."""
         names = set(names)
         found = [self._hub.robots.regroup(name) for name in names]
-        for device in self._devices.values():
+        for device in self._devices.values() if names else ():
             member = device.member
             if member is not None and member.is_waiting and member.robot in names and self._directory.is_free(member):
                 self._hub.spawn(self._take_place(device, member), name=f"place of link {device.link.number}")
