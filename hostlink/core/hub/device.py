@@ -287,11 +287,7 @@ class Device:
 
     @property
     def refused(self) -> str:
-<<<<<<< HEAD
-        """Reason why its settings do not fit; empty if they do."""
-=======
         """Return why its settings do not fit; empty if they do."""
->>>>>>> boards36
         return self.refused_settings or self.unfit
 
     @property

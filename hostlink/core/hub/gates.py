@@ -93,11 +93,7 @@ class Refusals:
 
     @property
     def cause(self) -> str | None:
-<<<<<<< HEAD
-        """Reason why the last velocity did not fit; None if it was sent."""
-=======
         """Return why the last velocity did not fit; None if it was sent."""
->>>>>>> boards36
         return None if self.error is None else str(self.error)
 
     def add(self, robot: str, error: HostlinkError) -> None:
