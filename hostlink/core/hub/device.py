@@ -378,7 +378,7 @@ class Device:
                 if info.kind is EndpointKind.SUBSCRIBER and info.name in self._lockable:
                     self.link.session.outbox.drop_commands(info.id)
         for info in self.unguarded:
-            zero = zero_of(info.type)
+            zero = self._zero_of(info)
             if zero is None or self._why_no_zero(info):
                 self.link.session.outbox.drop_commands(info.id)
             else:
@@ -393,9 +393,14 @@ class Device:
             for info in self.unguarded
         ]
 
+    def _zero_of(self, info: DeviceEndpoint) -> bytes | None:
+        """Return what stops an endpoint without a gate; settings that do not fit tell its number at rest, too."""
+        rests = dict(zip(self.settings.topics, self.settings.rests, strict=False))
+        return zero_of(info.type, rests.get(info.name, 0.0))
+
     def _why_no_zero(self, info: DeviceEndpoint) -> str:
         """Return the reason why an endpoint is not sent a zero; empty if it is."""
-        zero = zero_of(info.type)
+        zero = self._zero_of(info)
         if zero is None:
             return f"{info.type} has no value that surely means stop"
         try:

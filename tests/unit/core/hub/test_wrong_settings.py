@@ -226,3 +226,18 @@ def test_suggestion_is_for_the_table_that_has_the_address_of_the_board() -> None
 
     wrong = RobotConfig(address="10.0.0.3", wheels=WheelsConfig(topics=("motr",)))
     in_hub(test, Config(robots={"slow": slow(), "wrong": wrong}))
+
+
+@pytest.mark.parametrize(("type_name", "rest"), [("std_msgs/Int16", struct.pack("<h", 1500)), ("std_msgs/UInt8", None)])
+def test_stop_of_all_sends_a_motor_with_wrong_settings_its_number_at_rest(type_name: str, rest: bytes | None) -> None:
+    wheels = WheelsConfig(topics=("/l", "rr"), unit="pwm", full=500, rest=1500)
+
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect([to(0, "l", type_name), to(1, "r", type_name)])
+        first, second = made.hub.robots.stop_all()
+        await asyncio.sleep(SETTLED_S)
+        assert device.payloads(TWIST) == ([] if rest is None else [rest])  # at zero it would turn
+        assert first.reason == ("" if rest else "std_msgs/UInt8 has no value that surely means stop")
+        assert second.reason == ""
+
+    in_hub(test, Config(robots={"slow": slow(**WHEELS, wheels=wheels)}))
