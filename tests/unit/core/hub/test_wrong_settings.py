@@ -241,3 +241,22 @@ def test_stop_of_all_sends_a_motor_with_wrong_settings_its_number_at_rest(type_n
         assert second.reason == ""
 
     in_hub(test, Config(robots={"slow": slow(**WHEELS, wheels=wheels)}))
+
+
+def test_right_board_takes_the_name_of_one_with_a_wrong_topic_whose_lock_holds_for_both() -> None:
+    async def test(made: MemoryHub) -> None:
+        wrong, right = [to(0, "cmd_vel")], [to(0, "l", FLOAT), to(1, "r", FLOAT)]
+        device = await made.connect(wrong)
+        made.robot("slow").lock("a foot")
+        await asyncio.sleep(5.0)
+        await made.connect(right)
+        await asyncio.sleep(5.0)
+        assert made.robot("slow").topics.velocity == "l"
+        assert device.link not in made.hub.links.all()  # the device connects again
+        await made.connect(wrong)
+        await asyncio.sleep(5.0)
+        assert [each.name for each in made.hub.robots.here()] == ["robot_0", "slow"]
+        assert made.robot("slow").gate.lock_reason == "a foot"
+        assert made.robot().gate.lock_reason == "it may be slow: a foot"
+
+    in_hub(test, Config(robots={"slow": slow(**WHEELS, wheels=WheelsConfig(topics=("l", "r")))}))
