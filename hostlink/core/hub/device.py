@@ -375,7 +375,7 @@ class Device:
         self.unguarded = tuple(
             info for info in self.infos if info.kind is EndpointKind.SUBSCRIBER and info.name in names
         )
-        zeros = ((info, zero_of(info.type)) for info in self.unguarded)
+        zeros = ((info, self._zero_of(info)) for info in self.unguarded)
         self._zeros = {info.name: zero for info, zero in zeros if zero is not None and not self._why_no_zero(info)}
         self.suggested = self._suggest()
         self._lockable = self.settings.locked | names
@@ -396,7 +396,7 @@ class Device:
                     self.link.session.outbox.drop_commands(info.id)
         for info in self.unguarded:
             zero = self._zeros.get(info.name)
-            if zero is None or self._why_no_zero(info):
+            if zero is None:
                 self.link.session.outbox.drop_commands(info.id)
             else:
                 self.link.session.publish(info.name, zero, is_urgent=True)
@@ -410,9 +410,14 @@ class Device:
             for info in self.unguarded
         ]
 
+    def _zero_of(self, info: DeviceEndpoint) -> bytes | None:
+        """Return what stops an endpoint without a gate; settings that do not fit tell its number at rest, too."""
+        rests = dict(zip(self.settings.topics, self.settings.rests, strict=False))
+        return zero_of(info.type, rests.get(info.name, 0.0))
+
     def _why_no_zero(self, info: DeviceEndpoint) -> str:
         """Return the reason why an endpoint is not sent a zero; empty if it is."""
-        zero = zero_of(info.type)
+        zero = self._zero_of(info)
         if zero is None:
             return f"{info.type} has no value that surely means stop"
         try:

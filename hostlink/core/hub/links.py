@@ -399,13 +399,20 @@ class Links:
             robot = robots.appear(names.name, own, shown.of_robot(own), device)
         self._displace(robot)
         device.announce(device.infos, shown, robot)
-        if not claim.is_certain and before is not robot and robot.gate.lock_reason is None:
-            other = robots.locked_likewise(robot)
+        if before is not robot and robot.gate.lock_reason is None:
+            other = None if claim.is_certain else robots.locked_likewise(robot)
+            other = other or self._locked_before(device, robot, claim)
             if other is not None:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
                     reason = f"it may be {other.name}: {other.gate.lock_reason}"
                     robot.lock(reason, by=other.gate.admission.locked_by)
         return robot
+
+    def _locked_before(self, device: Device, robot: LocalRobot, claim: Accepted) -> LocalRobot | None:
+        """Return the locked robot whose name a device without its topics had until the right one connected."""
+        name = self.origin_of(device)[1] if misfit(claim.settings, device.endpoints) else None
+        other = None if name is None else self._hub.robots.get_here(name)
+        return other if other is not None and other is not robot and other.gate.lock_reason is not None else None
 
     def _displace(self, robot: LocalRobot) -> None:
         """Remove other devices from the robot's own topics if they have another type.
@@ -437,11 +444,11 @@ class Links:
     def _log_unguarded(self, device: Device) -> None:
         """Note for the diagnosis what nothing guards, and which settings do not fit. Log what is new."""
         noted, before = dict[str, str](), device.diagnosis.noted
-        if device.refused_settings:
-            noted[REFUSED] = device.refused_settings
+        if device.refused:
+            noted[REFUSED] = device.refused
             if noted[REFUSED] != before.get(REFUSED):
                 name = device.robot_name or device.diagnosis.robot or self.origin_of(device)[1]
-                log.warning("robot.settings_refused", robot=name, reason=printable(device.refused_settings, MAX_TEXT))
+                log.warning("robot.settings_refused", robot=name, reason=printable(device.refused, MAX_TEXT))
         if device.unguarded:
             topics = ", ".join(f"{device.shown.of(info.name)} ({info.type})" for info in device.unguarded)
             noted[UNGUARDED] = f"{topics}\n{device.suggestion}".strip()

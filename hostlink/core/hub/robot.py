@@ -162,8 +162,15 @@ def command_settings(config: RobotConfig) -> CommandSettings:
         is_spatial,
         config.devices or (),
         config.command_device,
+        _rests_of(config),
         config.stop_service,
     )
+
+
+def _rests_of(config: RobotConfig) -> tuple[float, ...]:
+    if config.throttle is not None:
+        return config.throttle.rest, config.throttle.steering_rest
+    return () if config.wheels is None else (config.wheels.rest,) * len(config.wheels.topics)
 
 
 def wheel_scales(wheels: WheelsConfig, config: RobotConfig, count: int) -> list[WheelScale]:

@@ -438,13 +438,15 @@ def _word(type_name: str, word: str) -> bytes:
 # -- layouts ----------------------------------------------------------------------------------------------------------
 
 
-def zero_of(type_name: str) -> bytes | None:
+def zero_of(type_name: str, rest: float = 0.0) -> bytes | None:
     """Return the message of zeros of a type that may command a motion; None if zeros do not mean rest.
 
-    An array of unknown length has no zero: an empty one is not obeyed.
+    An array of unknown length has no zero: an empty one is not obeyed. `rest`: what a number is at rest.
     """
     if type_name in NUMBER_TYPES:
-        return bytes(struct.calcsize(NUMBER_TYPES[type_name]))
+        code = NUMBER_TYPES[type_name]
+        lowest, highest = _WHOLE.get(code) or _RANGES[code]
+        return _number(code, rest) if lowest <= rest <= highest else None
     return {
         TWIST_TYPE: Twist().encode(),
         VECTOR_TYPE: bytes(_VECTOR.size),

@@ -130,6 +130,7 @@ class CommandSettings(NamedTuple):
     is_spatial: bool = False  # its Twists have six numbers: it is guarded, but no robot of the plane
     devices: tuple[str, ...] = ()  # addresses, ports and names of its devices, if it consists of several
     command_device: str | None = None  # the one that is commanded; None: the only one that takes a velocity
+    rests: tuple[float, ...] = ()  # number at rest of each of `topics`; empty: zero
     stop_service: str | None = None  # service of the device that is called with each zero, because a zero is not obeyed
 
 

@@ -226,3 +226,37 @@ def test_suggestion_is_for_the_table_that_has_the_address_of_the_board() -> None
 
     wrong = RobotConfig(address="10.0.0.3", wheels=WheelsConfig(topics=("motr",)))
     in_hub(test, Config(robots={"slow": slow(), "wrong": wrong}))
+
+
+@pytest.mark.parametrize(("type_name", "rest"), [("std_msgs/Int16", struct.pack("<h", 1500)), ("std_msgs/UInt8", None)])
+def test_stop_of_all_sends_a_motor_with_wrong_settings_its_number_at_rest(type_name: str, rest: bytes | None) -> None:
+    wheels = WheelsConfig(topics=("/l", "rr"), unit="pwm", full=500, rest=1500)
+
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect([to(0, "l", type_name), to(1, "r", type_name)])
+        first, second = made.hub.robots.stop_all()
+        await asyncio.sleep(SETTLED_S)
+        assert device.payloads(TWIST) == ([] if rest is None else [rest])  # at zero it would turn
+        assert first.reason == ("" if rest else "std_msgs/UInt8 has no value that surely means stop")
+        assert second.reason == ""
+
+    in_hub(test, Config(robots={"slow": slow(**WHEELS, wheels=wheels)}))
+
+
+def test_right_board_takes_the_name_of_one_with_a_wrong_topic_whose_lock_holds_for_both() -> None:
+    async def test(made: MemoryHub) -> None:
+        wrong, right = [to(0, "cmd_vel")], [to(0, "l", FLOAT), to(1, "r", FLOAT)]
+        device = await made.connect(wrong)
+        made.robot("slow").lock("a foot")
+        await asyncio.sleep(5.0)
+        await made.connect(right)
+        await asyncio.sleep(5.0)
+        assert made.robot("slow").topics.velocity == "l"
+        assert device.link not in made.hub.links.all()  # the device connects again
+        await made.connect(wrong)
+        await asyncio.sleep(5.0)
+        assert [each.name for each in made.hub.robots.here()] == ["robot_0", "slow"]
+        assert made.robot("slow").gate.lock_reason == "a foot"
+        assert made.robot().gate.lock_reason == "it may be slow: a foot"
+
+    in_hub(test, Config(robots={"slow": slow(**WHEELS, wheels=WheelsConfig(topics=("l", "r")))}))

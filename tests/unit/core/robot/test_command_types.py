@@ -489,3 +489,9 @@ def test_zero_of_a_type_is_its_message_of_zeros(type_name: str) -> None:
 @pytest.mark.parametrize("type_name", [*ARRAY_TYPES, JOY_TYPE, JOINT_STATE_TYPE, STRING_TYPE, "custom/Speed"])
 def test_a_type_whose_zeros_do_not_mean_rest_has_no_zero(type_name: str) -> None:
     assert zero_of(type_name) is None
+
+
+def test_zero_of_a_number_is_its_number_at_rest_if_the_type_holds_it() -> None:
+    assert zero_of("std_msgs/Int16", 1500.0) == struct.pack("<h", 1500)
+    assert zero_of("std_msgs/Float32", 0.5) == struct.pack("<f", 0.5)
+    assert zero_of("std_msgs/UInt8", 1500.0) is None
