@@ -146,7 +146,7 @@ def test_lock_refuses_a_topic_that_the_settings_name_with_a_slash_and_a_topic_ma
         ),
         (
             RobotConfig(devices=(HOME,), command_topic="cmd_vle"),
-            "command_topic names cmd_vle, which the board does not announce (did you mean cmd_vel?); its topics are "
+            "command_topic names cmd_vle, which none of its boards announces (did you mean cmd_vel?); its topics are "
             "cmd_vel (geometry_msgs/Twist), gripper (std_msgs/Int16), arm/cmd_vel (geometry_msgs/Twist)",
         ),
         (slow(locked_topics=("/gripper",), not_commands=("/arm/cmd_vel",), stop_service="/halt"), None),
