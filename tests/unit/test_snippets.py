@@ -9,7 +9,7 @@ import pytest
 
 import hostlink.client
 import hostlink.core.host
-from hostlink.core import config
+from hostlink.cli.settings import load
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
@@ -56,7 +56,7 @@ def test_python_compiles_and_uses_what_exists(name: str, code: str) -> None:
 @pytest.mark.parametrize(("name", "text"), list(snippets("toml")))
 def test_settings_are_accepted(name: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "hostlink.toml").write_text(text)
-    config.load(tmp_path / "hostlink.toml")
+    load(tmp_path / "hostlink.toml")
 
 
 def test_wrong_snippet_is_found() -> None:

@@ -12,7 +12,9 @@ from typing import Any
 import pytest
 
 from hostlink.cli.serve_command import EXAMPLES, read_example
-from hostlink.core.config import ApiConfig, Config, RobotConfig, SerialConfig, TokenConfig, load
+from hostlink.cli.settings import load
+from hostlink.components.mqtt.settings import MqttSettings
+from hostlink.core.config import ApiConfig, Config, RobotConfig, SerialConfig, TokenConfig
 from hostlink.errors import ConfigError
 
 SETTING_NOT_MADE = re.compile(r"^#(?=\S)", re.MULTILINE)
@@ -74,10 +76,12 @@ def parts(kind: type[Any], shown: dict[str, Any]) -> Iterator[tuple[type[Any], d
 
 
 OF_COMPONENTS = ("component_settings",)  # their tables are theirs
+OF_OTHERS: dict[str, type[Any]] = {"mqtt": MqttSettings}  # tables of components
 
 
 def test_the_example_names_every_setting_with_its_default(whole: dict[str, Any]) -> None:
-    observed = list(parts(Config, whole))
+    tables = {name: whole.pop(name) for name in OF_OTHERS}
+    observed = [*parts(Config, whole), *((kind, tables[name]) for name, kind in OF_OTHERS.items())]
     assert {kind for kind, _ in observed} >= {Config, SerialConfig, RobotConfig, ApiConfig, TokenConfig}
     for kind, shown in observed:
         fields = [each for each in dataclasses.fields(kind) if each.name not in OF_COMPONENTS]
