@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from hostlink.cli import serve as module
+from hostlink.core import running as module
 from tests.support.daemon import daemon
 from tests.support.waiting import expect
 
