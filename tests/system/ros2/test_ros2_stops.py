@@ -139,9 +139,10 @@ async def test_a_bridge_that_stands_still_stops_the_robot_and_what_it_held_does_
         assert await world.until_stopped() < LEASE_S + LATE_S
         world.driver.child.kill()  # these velocities are too old to be meant
         await asyncio.sleep(1.0)
+        watch = watched(world.bridge)
         world.bridge.child.send_signal(signal.SIGCONT)
         await expect(lambda: world.bridge.has_reported("did not run"))
-        await expect_never(lambda: world.gate.owner is not None, for_s=1.0)
+        await drives_nothing(lambda: world.gate.owner is not None, 1.0, watch)
 
 
 @pytest.mark.long
