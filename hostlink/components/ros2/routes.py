@@ -195,7 +195,9 @@ class Routes:
                 async for message, info, came_s in inbox:
                     twist = _twist(message.twist if is_stamped else message)
                     is_first = info.get("publication_sequence_number") == 1
-                    self._velocity.receive(route, twist, sender(route, info), came_s=came_s, is_first=is_first)
+                    sent_s = int(info.get("source_timestamp") or 0) / _NS_PER_S or None
+                    who = sender(route, info)
+                    self._velocity.receive(route, twist, who, came_s=came_s, sent_s=sent_s, is_first=is_first)
 
     async def _serve(self, route: Server) -> None:
         cls = load_type(ros2_type(route.type_name, "srv"))

@@ -11,13 +11,14 @@ from typing import NamedTuple
 from hostlink.client import Host
 from hostlink.client.connection import waits
 from hostlink.components.ros2.plan import VelocityInput
-from hostlink.core.robot.admission import LEASE_S, EarlierMotion
+from hostlink.core.robot.admission import LEASE_S, EarlierMotion, Freshness
 from hostlink.core.robot.newest import newest
 from hostlink.core.robot.velocity import Twist
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.errors import HostlinkError, RefusalKind
 
 HEARTBEAT_S = 0.05
+HELD_S = 5.0  # after an interruption, until the middleware has passed on what it holds
 STALL_S = LEASE_S  # after a longer pause of this process, later velocities may be old
 MAX_COMMANDS_S = 600.0  # of an owner; the daemon closes a connection that sends 1000 messages a second
 MAX_OWNERS = 32
@@ -62,11 +63,18 @@ class VelocityDriver:
                 owner.end(route)
 
     def receive(
-        self, route: VelocityInput, twist: Twist, key: Key, *, came_s: float | None = None, is_first: bool = False
+        self,
+        route: VelocityInput,
+        twist: Twist,
+        key: Key,
+        *,
+        came_s: float | None = None,
+        sent_s: float | None = None,
+        is_first: bool = False,
     ) -> None:
         """A velocity of this publisher came on a topic `came_s`; None: now. `is_first`: of all that it published there.
 
-        One that has waited for a lease is dropped when it is sent.
+        One that has waited for a lease is dropped when it is sent. `sent_s` is the time of the publisher's own clock.
         """
         self._note_time()
         owner = self._owners.get(key) or self._add(key)
@@ -74,7 +82,9 @@ class VelocityDriver:
             older = self._older.get(route.robot)
             is_older = older is not None and not is_first and key in older.keys
             older_until_s = older.until_s if older is not None and is_older else None
-            owner.receive(route, twist, asyncio.get_running_loop().time() if came_s is None else came_s, older_until_s)
+            came_s = asyncio.get_running_loop().time() if came_s is None else came_s
+            if not owner.is_held_back(twist, came_s, sent_s):
+                owner.receive(route, twist, came_s, older_until_s)
 
     def update(self, robots: Iterable[str], publishers: frozenset[Key]) -> None:
         """The robots that the daemon knows, and the publishers that ROS 2 has now: who is gone drives no more.
@@ -139,9 +149,18 @@ class _Owner:
         self._waiting: dict[VelocityInput, list[_WaitingVelocity]] = {}
         self._news = asyncio.Event()
         self._refusals: defaultdict[str, Budget] = defaultdict(Budget)  # by robot
+        self._freshness, self._held_until_s = Freshness(), float("-inf")
         self._since_s = asyncio.get_running_loop().time()
         self._was_there = False
         self._free_at_s = 0.0
+
+    def is_held_back(self, twist: Twist, came_s: float, sent_s: float | None) -> bool:
+        """Whether a velocity is from before an interruption: the middleware may pass it on later than a lease after.
+
+        Only the seconds after an interruption count, because a publisher's clock may be set.
+        """
+        late_s = 0.0 if sent_s is None else self._freshness.late_s(sent_s, came_s)
+        return not twist.is_zero and came_s < self._held_until_s and late_s > LEASE_S
 
     def receive(self, route: VelocityInput, twist: Twist, came_s: float, older_until_s: float | None) -> None:
         """Take a velocity of the publisher. `older_until_s`: until then a stream may have started earlier."""
@@ -168,6 +187,7 @@ class _Owner:
         self._waiting.clear()
         now_s = asyncio.get_running_loop().time()
         self._motions = {route: EarlierMotion.within_a_lease(now_s) for route in self._motions}
+        self._held_until_s = now_s + HELD_S
 
     def end(self, route: VelocityInput) -> None:
         """The topic drives this robot no more."""

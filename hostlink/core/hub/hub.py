@@ -123,10 +123,16 @@ class Hub:
             await self.gates.run()
 
     def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> None:
-        """Run work at most as long as the hub. A crash ends only this work."""
+        """Run work at most as long as the hub; not at all while the hub ends. A crash ends only this work."""
         if self._tasks is None:
             raise RuntimeError("the hub does not run yet")
-        task = self._tasks.create_task(self._isolated(work, name), name=name)
+        isolated = self._isolated(work, name)
+        try:
+            task = self._tasks.create_task(isolated, name=name)
+        except RuntimeError:  # the hub is ending: the work would be cancelled before its first turn
+            isolated.close()
+            work.close()
+            return
         task.add_done_callback(lambda _: work.close())  # a task that is cancelled before its first turn never awaits it
 
     async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:

@@ -230,6 +230,7 @@ class FakeDriver:
         self.robots: list[str] = []
         self.received: list[tuple[str, tuple[float, ...], object, bool]] = []
         self.came_s: list[float] = []
+        self.sent_s: list[float | None] = []
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -241,8 +242,11 @@ class FakeDriver:
     def update(self, robots: Iterable[str], _keys: object) -> None:
         self.robots = list(robots)
 
-    def receive(self, route: Any, twist: Any, key: object, *, came_s: float, is_first: bool) -> None:
+    def receive(
+        self, route: Any, twist: Any, key: object, *, came_s: float, sent_s: float | None, is_first: bool
+    ) -> None:
         self.came_s.append(came_s)
+        self.sent_s.append(sent_s)
         self.received.append((route.robot, tuple(twist), key, is_first))
 
 
@@ -297,10 +301,12 @@ def test_velocity_of_ros_2_reaches_the_driver_while_the_daemon_has_the_robot() -
         assert world.node.qos["/robot_0/cmd_vel"] == (COMMANDS, False)
         receive(SimpleNamespace(linear=vector(0.2), angular=vector(z=-0.5)), {"publication_sequence_number": 1})
         info = {"publisher_gid": {"data": [7, 8]}, "received_timestamp": time.time_ns() - 2 * 10**9}
+        info["source_timestamp"] = 5_500_000_000
         receive(SimpleNamespace(linear=vector(y=0.1), angular=vector()), info)
         await asyncio.sleep(0.1)
         fresh, old = world.driver.came_s
         assert 1.9 < fresh - old < 3.0
+        assert world.driver.sent_s == [None, 5.5]
         assert world.driver.received == [
             ("robot_0", (0.2, 0.0, 0.0, 0.0, 0.0, -0.5), "/robot_0/cmd_vel", True),
             ("robot_0", (0.0, 0.1, 0.0, 0.0, 0.0, 0.0), b"\7\b", False),

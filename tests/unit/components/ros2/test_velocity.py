@@ -349,3 +349,35 @@ async def test_velocity_after_the_bridge_stood_still_has_an_earlier_epoch(gap_s:
         world.driver.receive(ROUTE, FORWARD, b"a")
         await asyncio.sleep(0.05)
         assert world.epochs(before) == [epoch]
+
+
+@virtual
+async def test_velocities_that_the_middleware_held_meanwhile_drive_nothing_however_late_they_are_passed_on() -> None:
+    """The publisher's clock differs from this one's by 1,000 s."""
+    world, loop = World(), asyncio.get_running_loop()
+    async with world.driver.running():
+        for _ in range(3):
+            world.driver.receive(ROUTE, FORWARD, b"a", sent_s=loop.time() + 1000.0)
+            await asyncio.sleep(0.1)
+        held_s = loop.time() + 1000.0
+        burn(2.0)
+        before = len(world.daemon.commands)
+        for _ in range(3):  # the second one comes after the lease of the first
+            world.driver.receive(ROUTE, FORWARD, b"a", sent_s=held_s)
+            await asyncio.sleep(STALL_S - 0.1)
+        assert world.daemon.commands[before:] == []
+        world.driver.receive(ROUTE, Twist(), b"a", sent_s=held_s)
+        await asyncio.sleep(0.1)
+        world.driver.receive(ROUTE, FORWARD, b"a", sent_s=loop.time() + 1000.0)
+        await asyncio.sleep(0.1)
+        assert [twist for _, twist, _ in world.daemon.commands[before:]] == [Twist(), FORWARD]
+
+
+@virtual
+async def test_publisher_whose_clock_is_set_back_drives_on() -> None:
+    world, loop = World(), asyncio.get_running_loop()
+    async with world.driver.running():
+        for clock_s in (1000.0, -5000.0):
+            world.driver.receive(ROUTE, FORWARD, b"a", sent_s=loop.time() + clock_s)
+            await asyncio.sleep(0.1)
+    assert world.daemon.commands == [("robot_0", FORWARD, None)] * 2

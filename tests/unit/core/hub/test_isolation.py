@@ -74,3 +74,26 @@ def test_work_that_is_spawned_in_the_last_turn_of_the_hub_is_closed() -> None:
 
     in_hub(test)
     assert inspect.getcoroutinestate(work) == inspect.CORO_CLOSED
+
+
+def test_work_that_is_spawned_while_the_hub_ends_is_not_begun() -> None:
+    """What ends at the hub's end may want to go on: a link whose board leaves, for example."""
+    began: list[str] = []
+
+    async def late() -> None:
+        began.append("late")
+
+    async def until_the_end(made: MemoryHub) -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            made.hub.spawn(work, name="late")
+
+    async def test(made: MemoryHub) -> None:
+        made.hub.spawn(until_the_end(made), name="last")
+        await asyncio.sleep(0.1)
+
+    work = late()
+    in_hub(test)
+    assert began == []
+    assert inspect.getcoroutinestate(work) == inspect.CORO_CLOSED
