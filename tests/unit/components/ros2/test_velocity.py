@@ -362,7 +362,7 @@ async def test_velocities_that_the_middleware_held_meanwhile_drive_nothing_howev
         held_s = loop.time() + 1000.0
         burn(2.0)
         before = len(world.daemon.commands)
-        for _ in range(3):  # the second one comes after the lease of the first
+        for _ in range(3):  # the second one is taken after the lease of the first
             world.driver.receive(ROUTE, FORWARD, b"a", sent_s=held_s)
             await asyncio.sleep(STALL_S - 0.1)
         assert world.daemon.commands[before:] == []

@@ -77,7 +77,7 @@ def test_work_that_is_spawned_in_the_last_turn_of_the_hub_is_closed() -> None:
 
 
 def test_work_that_is_spawned_while_the_hub_ends_is_not_begun() -> None:
-    """What ends at the hub's end may want to go on: a link whose board leaves, for example."""
+    """A link that ends with the hub may spawn work: its board leaves a robot."""
     began: list[str] = []
 
     async def late() -> None:
