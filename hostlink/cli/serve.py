@@ -58,18 +58,9 @@ OnGraphEnd = Callable[[str], None]
 class Addresses:
     """Addresses on which a running daemon listens; a port 0 of the configuration is replaced by the chosen one."""
 
-    devices: core.Addresses
+    tcp: tuple[str, int]
     api: str
-
-    @property
-    def tcp(self) -> tuple[str, int]:
-        """Address for devices over TCP."""
-        return self.devices.tcp
-
-    @property
-    def udp(self) -> tuple[str, int] | None:
-        """Address for devices over UDP; None if there is none."""
-        return self.devices.udp
+    udp: tuple[str, int] | None = None
 
 
 @contextlib.asynccontextmanager
@@ -109,14 +100,14 @@ async def running(
         ros1 = importlib.import_module("hostlink.components.ros1.node").Ros1
         own["ros1"] = lambda: ros1(config.ros1, on_graph_end)
     async with core.running(
-        config, guard=guard, around=[parts], own=own, on_listening=on_listening, listening=listening
+        config, guard=guard, around=parts, own=own, on_listening=on_listening, listening=listening
     ) as (hub, devices):
         udp = {} if devices.udp is None else {"udp": spelled(*devices.udp)}
         loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
         ports = {"serial": list(devices.serial), "missing": list(devices.missing)} if config.serial else {}
         log.info("daemon.started", tcp=spelled(*devices.tcp), api=api, loop=loop, **udp, **ports)
         try:
-            yield hub, Addresses(devices, api)
+            yield hub, Addresses(devices.tcp, api, devices.udp)
         except Exception as error:
             log.exception("daemon.failed", cause=repr(error))
             raise

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import functools
 from collections import Counter
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from typing import Any
 
 import structlog
@@ -23,11 +23,6 @@ STEADY_S = 60.0  # after a run of this length the pause is the first one again
 log = structlog.get_logger()
 AnyComponent = Component[Any]
 Make = Callable[[], AnyComponent]  # of a component for one run
-
-
-def installed() -> frozenset[str]:
-    """Return the names of the installed components. Nothing is imported."""
-    return frozenset(_entry_points())
 
 
 def find_component(name: str) -> type[AnyComponent]:
@@ -113,25 +108,39 @@ async def supervise(hub: Hub, name: str, make: Make) -> None:
 async def _run_once(hub: Hub, name: str, make: Make, counts: Counter[str]) -> str:
     """Run a component to its end. Return why it ended."""
     error: BaseException | None = None
-    async with contextlib.AsyncExitStack() as leaving:
-        try:
-            async with asyncio.TaskGroup() as tasks:
-
-                def spawn(work: Coroutine[Any, Any, object], part: str) -> None:
-                    task = tasks.create_task(work, name=f"{name}: {part}")
-                    task.add_done_callback(lambda _: work.close())  # it may be cancelled before its first turn
-
-                host = Host(hub, name, spawn, counts)
-                leaving.callback(host.close)
-                await make().run(host)
-                raise _Ended("it ended by itself")  # noqa: TRY301 - it ends what the component has spawned
-        except* Exception as group:  # noqa: BLE001 - a component of another package may raise anything
-            error = first_error(group)
+    try:
+        async with hosted(hub, name, counts) as host:
+            await make().run(host)
+    except* Exception as group:  # noqa: BLE001 - a component of another package may raise anything
+        error = first_error(group)
     raise_if_cancelled()
-    if isinstance(error, Exception) and not isinstance(error, HostlinkError | OSError | _Ended):
+    if error is None:
+        return "it ended by itself"
+    if isinstance(error, Exception) and not isinstance(error, HostlinkError | OSError):
         hub.isolation.crashed("component", error, component=name)
     return str(error) or repr(error)
 
 
-class _Ended(Exception):
-    """A component has returned from `run`."""
+@contextlib.asynccontextmanager
+async def hosted(hub: Hub, name: str, counts: Counter[str]) -> AsyncIterator[Host]:
+    """Make a host for the length of a block. What the block has spawned ends with it; then all that it took does.
+
+    An error of the block, or of what it has spawned, is raised in an exception group.
+    """
+    with contextlib.ExitStack() as leaving:
+        async with asyncio.TaskGroup() as tasks:
+            spawned = set[asyncio.Task[object]]()
+
+            def spawn(work: Coroutine[Any, Any, object], part: str) -> None:
+                task = tasks.create_task(work, name=f"{name}: {part}")
+                spawned.add(task)
+                task.add_done_callback(spawned.discard)
+                task.add_done_callback(lambda _: work.close())  # it may be cancelled before its first turn
+
+            host = Host(hub, name, spawn, counts)
+            leaving.callback(host.close)
+            try:
+                yield host
+            finally:
+                for task in spawned:
+                    task.cancel()

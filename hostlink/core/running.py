@@ -3,14 +3,13 @@
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from socket import socket
 from time import thread_time
-from typing import Any
 
-from hostlink.core.components import Make, chosen_components, supervise
+from hostlink.core.components import Make, chosen_components, hosted, supervise
 from hostlink.core.config import Config, UdpConfig
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.host import Host
@@ -52,25 +51,12 @@ async def serving(config: Config | None = None) -> AsyncIterator[Host]:
     """
     config = Config() if config is None else config
     with guarded(is_wanted=config.guardian) as guardian:
+        on_listening = guardian.start if guardian is not None else lambda: None
         async with (
-            running(config, guard=guardian, on_listening=lambda: None if guardian is None else guardian.start()) as (
-                hub,
-                _,
-            ),
-            asyncio.TaskGroup() as tasks,
+            running(config, guard=guardian, on_listening=on_listening) as (hub, _),
+            hosted(hub, "program", Counter()) as host,
         ):
-            spawned: list[asyncio.Task[object]] = []
-
-            def spawn(work: Coroutine[Any, Any, object], name: str) -> None:
-                spawned.append(tasks.create_task(work, name=name))
-
-            host = Host(hub, "program", spawn, Counter())
-            try:
-                yield host
-            finally:
-                host.close()
-                for task in spawned:
-                    task.cancel()
+            yield host
 
 
 @contextlib.asynccontextmanager
@@ -78,7 +64,7 @@ async def running(
     config: Config,
     *,
     guard: Guard | None = None,
-    around: Sequence[Around] = (),
+    around: Around = contextlib.nullcontext,
     own: Mapping[str, Make] | None = None,
     on_listening: Callable[[], None] = lambda: None,
     listening: Sequence[socket] = (),
@@ -86,25 +72,24 @@ async def running(
     """Run a hub with its listeners and components for the length of a block.
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
-    `own` are further components by name. `around` are parts that begin before the first device is accepted, and end
-    after the robots were stopped. `on_listening` is called when every port is open. `listening` are the sockets for
+    `own` are further components by name. `around` begins before the first device is accepted, and ends after the
+    robots were stopped. `on_listening` is called when every port is open. `listening` are the sockets for
     devices, if they are open already.
     """
     folders = config.message_folders  # one may be on a dead disk: the loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
     hub = Hub(config, catalog, guard=guard, slept_s=slept_s, computed_s=thread_time)
     try:
-        async with _hub_running(hub), contextlib.AsyncExitStack() as before:
-            for enter in around:
-                await before.enter_async_context(enter(hub))
-            async with (
-                _listening(hub, config, listening, on_listening) as addresses,
-                _components(hub, config, own or {}),
-            ):
-                try:
-                    yield hub, addresses
-                finally:
-                    await hub.shutdown()
+        async with (
+            _hub_running(hub),
+            around(hub),
+            _listening(hub, config, listening, on_listening) as addresses,
+            _components(hub, config, own or {}),
+        ):
+            try:
+                yield hub, addresses
+            finally:
+                await hub.shutdown()
     except BaseExceptionGroup as group:  # one error is one line; the others follow from it
         raise first_error(group) from None
 
