@@ -18,6 +18,7 @@ from typing import Any, Literal
 import msgspec
 
 from hostlink.core.runtime.text_file import decoded, read_bytes
+from hostlink.core.runtime.topic_names import plain_name
 from hostlink.errors import ConfigError
 
 MAX_PORT = 0xFFFF
@@ -397,11 +398,6 @@ class WordsConfig:
         for name in (*_DIRECTIONS, "stop"):
             if len(getattr(self, name).encode()) > MAX_WORD_BYTES:
                 raise ValueError(f"words.{name} has more than {MAX_WORD_BYTES} bytes: shorten it")
-
-
-def plain_name(name: str) -> str:
-    """Return the name of a topic without the slash in front, which means nothing here."""
-    return name.lstrip("/")
 
 
 def _check_names(where: str, names: tuple[str, ...]) -> None:

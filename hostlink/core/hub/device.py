@@ -29,9 +29,9 @@ from hostlink.core.robot.model import (
     Endpoint,
     RobotTopicNames,
     Suggestion,
+    announced,
     is_velocity,
     name_of,
-    plain,
     suggest,
     suggestion,
     unguarded,
@@ -301,8 +301,7 @@ class Device:
         wanted, kind = self.settings.stop_service, EndpointKind.SERVICE_SERVER_SUBSCRIBER
         if wanted is None:
             return None
-        names = (info.name for info in self.infos if info.kind is kind)
-        return next((name for name in names if plain(name) == plain(wanted)), wanted)
+        return announced(wanted, [info.name for info in self.infos if info.kind is kind])
 
     @property
     def guarded(self) -> frozenset[str]:

@@ -36,6 +36,7 @@ from hostlink.core.robot.command_types import (
 from hostlink.core.robot.feedback import recognised
 from hostlink.core.robot.readings import POSE_TYPES, VELOCITY_TYPES
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
+from hostlink.core.runtime.topic_names import plain_name
 
 LONGEST_NAME: Final = 64  # characters of a robot's name; names are used in logs, paths and labels
 RESET_TYPE: Final = "std_msgs/Empty"
@@ -139,42 +140,41 @@ _ONE_TOPIC: Final = (CommandKind.JOY, CommandKind.WORDS, CommandKind.VECTOR)
 _MOST_NAMED: Final = 8  # topics of a device, in a sentence
 
 
-def plain(name: str) -> str:
-    """Return a name without the slash in front: boards and people write it with or without one."""
-    return name.lstrip("/")
-
-
 def matched(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> CommandSettings:
     """Return the settings with the names of topics as this device announces them. Others stay as they are."""
     taken = [each.name for each in endpoints if each.is_to_device]
     sent = [each.name for each in endpoints if not each.is_to_device]
     return settings._replace(
-        topics=tuple(_announced(name, taken) for name in settings.topics),
-        odometry=settings.odometry and _announced(settings.odometry, sent),
+        topics=tuple(announced(name, taken) for name in settings.topics),
+        odometry=settings.odometry and announced(settings.odometry, sent),
         ignored=_all_announced(settings.ignored, taken),
         locked=_all_announced(settings.locked, taken),
     )
 
 
-def _announced(name: str, names: Sequence[str]) -> str:
-    return name if name in names else next((each for each in names if plain(each) == plain(name)), name)
+def announced(name: str, names: Collection[str]) -> str:
+    """Return a name of the settings as a device announces it, with these names; unchanged if it does not."""
+    return name if name in names else next((each for each in names if plain_name(each) == plain_name(name)), name)
 
 
 def _all_announced(wanted: frozenset[str], names: Sequence[str]) -> frozenset[str]:
-    known = set(map(plain, wanted))
-    return wanted | {name for name in names if plain(name) in known} if known else wanted
+    known = set(map(plain_name, wanted))
+    return wanted | {name for name in names if plain_name(name) in known} if known else wanted
 
 
 def has_command(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> bool:
     """Whether a device has every topic that the settings name as the robot's command."""
-    names = {plain(each.name) for each in endpoints if each.is_to_device}
-    return names.issuperset(map(plain, settings.topics))
+    return _taken(endpoints).keys() >= set(map(plain_name, settings.topics))
+
+
+def _taken(endpoints: Sequence[Endpoint]) -> dict[str, Endpoint]:
+    return {plain_name(each.name): each for each in endpoints if each.is_to_device}
 
 
 def misfit(settings: CommandSettings, endpoints: Sequence[Endpoint]) -> str:
     """Return which topics the settings name as the command and the devices do not announce; empty: none."""
-    taken = {plain(each.name): each for each in endpoints if each.is_to_device}
-    missing = [name for name in settings.topics if plain(name) not in taken]
+    taken = _taken(endpoints)
+    missing = [name for name in settings.topics if plain_name(name) not in taken]
     if not missing:
         return ""
     key = "command_topic" if settings.kind is None else f"{settings.kind}.topics"
@@ -196,7 +196,7 @@ def unannounced(settings: CommandSettings, endpoints: Sequence[Endpoint], servic
         ("feedback.topic", [settings.odometry or ""], sent),
         ("stop_service", [settings.stop_service or ""], services),
     ):
-        missing = [name for name in wanted if name and plain(name) not in set(map(plain, known))]
+        missing = [name for name in wanted if name and plain_name(name) not in set(map(plain_name, known))]
         if missing:
             lines.append(f"{key} names {' and '.join(missing)}, which {_nobody(settings)}{nearest(missing, known)}")
     return "; ".join(lines)
@@ -208,8 +208,8 @@ def _nobody(settings: CommandSettings) -> str:
 
 def nearest(missing: Sequence[str], known: Iterable[str]) -> str:
     """Return a question after the names that are nearest to missing ones; empty: none is near."""
-    names = sorted({plain(name) for name in known})
-    near = [difflib.get_close_matches(plain(name), names, n=1) for name in missing]
+    names = sorted({plain_name(name) for name in known})
+    near = [difflib.get_close_matches(plain_name(name), names, n=1) for name in missing]
     found = dict.fromkeys(name for each in near for name in each)
     return f" (did you mean {' and '.join(found)}?)" if found else ""
 
@@ -577,9 +577,9 @@ def _throttle_topics(suspects: Sequence[Endpoint]) -> list[str]:
 
 def select(settings: Mapping[str, CommandSettings], endpoints: Sequence[Endpoint]) -> str | None:
     """Return the robot whose settings name command topics that the device has, all of them; None if there is none."""
-    names = {plain(each.name) for each in endpoints if each.is_to_device}
+    names = _taken(endpoints).keys()
     return next(
-        (name for name, each in settings.items() if each.topics and names.issuperset(map(plain, each.topics))), None
+        (name for name, each in settings.items() if each.topics and names >= set(map(plain_name, each.topics))), None
     )
 
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hostlink.core.robot.feedback import recognised
-from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, misfit, namespace_of, plain
+from hostlink.core.robot.model import CommandSettings, Endpoint, find_robot, misfit, namespace_of
+from hostlink.core.runtime.topic_names import plain_name
 
 
 class Membership(NamedTuple):
@@ -62,9 +63,11 @@ def takes_velocity(place: str, endpoints: Sequence[Endpoint], settings: CommandS
 
 def _why_no_command(name: str, settings: CommandSettings, connected: Mapping[str, Sequence[Endpoint]]) -> str:
     """Return why none of the devices commands the robot. They are connected, and take all topics of the settings."""
-    taken = [(plain(each.name), place) for place in settings.devices for each in connected[place] if each.is_to_device]
+    taken = [
+        (plain_name(each.name), place) for place in settings.devices for each in connected[place] if each.is_to_device
+    ]
     first = dict(reversed(taken))
-    places = {topic: first[plain(topic)] for topic in settings.topics}
+    places = {topic: first[plain_name(topic)] for topic in settings.topics}
     if len(set(places.values())) > 1:
         split = ", ".join(f"{topic} on {place}" for topic, place in places.items())
         return f"its command topics must be on one device, and they are on several: {split}"
