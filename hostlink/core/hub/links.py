@@ -370,7 +370,7 @@ class Links:
 
     def _misfit(self, device: Device, claim: Accepted) -> str:
         """Return what does not fit in the settings of a robot, now that its device is accepted; empty: nothing."""
-        settings, boards = claim.settings, self._hub.robots.beside(device)
+        settings, boards = claim.settings, self._hub.robots.boards_of(device)
         if device.diagnosis.is_played:
             return device.refused_settings
         endpoints = [each for board in boards for each in board.endpoints]

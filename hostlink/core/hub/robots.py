@@ -449,13 +449,9 @@ class Robots:
         commanded.
         """
         robot = self._robots.get(name)
-        members, waiting = dict[str, Device](), list[Device]()
-        for device in self.devices.values():
-            if device.member is not None and device.member.robot == name and not device.is_undecided:
-                if device.member.is_waiting:
-                    waiting.append(device)
-                else:
-                    members[device.member.place] = device
+        found = self._members_of(name)
+        members = {member.place: device for member, device in found if not member.is_waiting}
+        waiting = [(member, device) for member, device in found if member.is_waiting]
         config = self.config_of(name) if robot is None else robot.config
         if not config.devices:  # no longer of several
             if robot is not None:
@@ -464,8 +460,8 @@ class Robots:
             return robot
         endpoints = {place: device.endpoints for place, device in members.items()}
         parts = parts_of(name, command_settings(config), endpoints)
-        for device in waiting:
-            device.unfit = self._why_waiting(device, members)
+        for member, device in waiting:
+            device.unfit = _why_waiting(member, device, members.get(member.place))
             self._note_missing(name, device.drivables, device.unfit)
             device.note_missing(device.unfit)
         is_unfit = parts.command is None and len(members) == len(config.devices)
@@ -476,9 +472,8 @@ class Robots:
         if robot is None:
             self._note_missing(name, drivables, parts.why_not)
             return None
-        self._note_parts(
-            robot, tuple(each for each in (*members.values(), *waiting) if each is not robot.connection), None
-        )
+        every = (*members.values(), *(device for _, device in waiting))
+        self._note_parts(robot, tuple(each for each in every if each is not robot.connection), None)
         before = robot.admission.missing
         self._note_missing(name, dict.fromkeys((robot, *drivables)), parts.why_not)
         if parts.why_not and parts.why_not != before:
@@ -493,28 +488,18 @@ class Robots:
                     self._gates.lock([drivable], reason, by=robot.admission.locked_by)
         return robot
 
-    def beside(self, device: Device) -> list[Device]:
+    def boards_of(self, device: Device) -> list[Device]:
         """Return all devices of the robot of this one; none while one of several is not connected."""
         if device.member is None:
             return [device]
-        config = self.config_of(device.member.robot)
-        found = [
-            each
-            for each in self.devices.values()
-            if each.member is not None and each.member.robot == device.member.robot and not each.is_undecided
-        ]
-        return found if {each.member.place for each in found if each.member} >= set(config.devices or ()) else []
+        found = self._members_of(device.member.robot)
+        places = self.config_of(device.member.robot).devices or ()
+        return [each for _, each in found] if {member.place for member, _ in found} >= set(places) else []
 
-    def _why_waiting(self, device: Device, members: Mapping[str, Device]) -> str:
-        """Return why a device waits for its place in a robot of several devices."""
-        robot, place, _ = device.member or Membership("", "")
-        holder = members.get(place)
-        if holder is None:
-            return f"its device {place} has left, and another one that fits waits until the robot has stopped"
-        return (
-            f"its device {place} is {holder.link.peer}, so that {device.link.peer} is not driven; tell them apart "
-            f"by addresses with ports in devices of [robots.{robot}]"
-        )
+    def _members_of(self, name: str) -> list[tuple[Membership, Device]]:
+        """Return the connected devices of a robot of several devices, also those that wait for a place."""
+        found = ((device.member, device) for device in self.devices.values() if not device.is_undecided)
+        return [(member, device) for member, device in found if member is not None and member.robot == name]
 
     def _note_parts(
         self, robot: LocalRobot, parts: tuple[Device, ...], links: dict[tuple[str, str], Link] | None
@@ -664,6 +649,16 @@ class Robots:
             self._gates.events.note(EventKind.FORGOTTEN, name)
             self._hub.links.forget_robot(robot)
             self._hub.note_robot(name)
+
+
+def _why_waiting(member: Membership, device: Device, holder: Device | None) -> str:
+    """Return why a device waits for its place in a robot of several devices, which `holder` has."""
+    if holder is None:
+        return f"its device {member.place} has left, and another one that fits waits until the robot has stopped"
+    return (
+        f"its device {member.place} is {holder.link.peer}, so that {device.link.peer} is not driven; tell them apart "
+        f"by addresses with ports in devices of [robots.{member.robot}]"
+    )
 
 
 def _check_zeros(commands: CommandType, kind: CommandKind, device: Device) -> None:
