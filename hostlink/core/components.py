@@ -12,6 +12,7 @@ import structlog
 from hostlink.core.config import Config
 from hostlink.core.host import Component, Host
 from hostlink.core.hub.hub import Hub
+from hostlink.core.runtime import plugins
 from hostlink.core.runtime.cancellation import first_error, raise_if_cancelled
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import ConfigError, HostlinkError
@@ -31,20 +32,12 @@ def find_component(name: str) -> type[AnyComponent]:
     Raises:
         ConfigError: no installed package has it, or the one that has it cannot be imported.
     """
-    found = _entry_points().get(name)
-    if found is None:
-        known = ", ".join(sorted(_entry_points())) or "none"
-        raise ConfigError(f"components.{name}", f"no installed package has this component; known: {known}")
-    try:
-        component = found.load()
-    except HostlinkError as error:  # for example a library that is missing
-        raise ConfigError(f"components.{name}", str(error)) from error
-    except Exception as error:  # a module of another package may raise anything
-        raise ConfigError(f"components.{name}", f"{found.value} cannot be imported: {error!r}") from error
+    found = _entry_points()
+    component = plugins.load(found, name, where=f"components.{name}", what="component")
     if not (isinstance(component, type) and issubclass(component, Component)):
-        raise ConfigError(f"components.{name}", f"{found.value} is not a subclass of Component")
+        raise ConfigError(f"components.{name}", f"{found[name].value} is not a subclass of Component")
     if component.name != name:
-        raise ConfigError(f"components.{name}", f"{found.value} has the name {component.name}")
+        raise ConfigError(f"components.{name}", f"{found[name].value} has the name {component.name}")
     return component
 
 
@@ -82,9 +75,7 @@ def chosen_components(config: Config) -> list[tuple[str, type[AnyComponent], obj
 
 @functools.cache
 def _entry_points() -> Mapping[str, Any]:
-    from importlib.metadata import entry_points  # noqa: PLC0415 - it takes 20 ms
-
-    return {each.name: each for each in entry_points(group=GROUP)}
+    return plugins.entry_points(GROUP)
 
 
 async def supervise(hub: Hub, name: str, make: Make) -> None:
