@@ -13,11 +13,11 @@ from aiohttp import web
 
 from hostlink.components.gateway.listener import MakeProtocol, PacedReading
 from hostlink.components.gateway.server import ApiServer, protocols_of
-from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.config import BlackBoxConfig, Config, RecordingConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.reloader import Reloader
 from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.hosts import recordings_of
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
@@ -176,7 +176,7 @@ class ApiMemory:
             config, recording=RecordingConfig(folder=folder, drives=False), black_box=BlackBoxConfig(enabled=False)
         )
         self.hub = Hub(config, CATALOG, reraises=True)
-        self.server = ApiServer(self.hub, Recordings(self.hub), Reloader(self.hub))
+        self.server = ApiServer(self.hub, recordings_of(self.hub), Reloader(self.hub))
         self.make_protocol: MakeProtocol
         self.device: ScriptedDevice
 

@@ -17,7 +17,6 @@ from hostlink.core.diagnosis.motion_monitor import RECENT_S, Speed
 from hostlink.core.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.node import Node, address_of
-from hostlink.core.hub.robot_events import EventKind
 from hostlink.core.hub.topic import DeviceSubscription
 from hostlink.core.hub.topic_graph import TopicGraph
 from hostlink.core.link.link import Link
@@ -38,6 +37,7 @@ from hostlink.core.robot.command_types import (
     WordCommand,
     Words,
 )
+from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.feedback import Feedback, FeedbackKind, FeedbackSettings
 from hostlink.core.robot.kinematics import SETTINGS as DIMENSIONS
 from hostlink.core.robot.kinematics import WHEELS_NEED, AckermannDrive, Drive, drive_of
