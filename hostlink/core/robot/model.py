@@ -366,6 +366,15 @@ def name_of(command: str, odometry: str = "") -> str:
     return re.sub(r"\W", "_", name, flags=re.ASCII)[:LONGEST_NAME]
 
 
+def motion_of(command: str) -> str:
+    """Return what a topic commands. Topics of one motion are ways to command the same thing, as a base.
+
+    They have one namespace, and their names differ only in words such as cmd, vel, drive or stamped.
+    """
+    words = [word for word in re.split(r"[^A-Za-z0-9]+", leaf_of(command)) if word.lower() not in _COMMON]
+    return "/".join(("", *namespace_of(command), "_".join(words)))
+
+
 def _is_telling(word: str) -> bool:
     return len(word) >= _SHORTEST_WORD and word.isalpha() and (word.islower() or word[0].isupper())
 

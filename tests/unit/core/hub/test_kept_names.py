@@ -15,6 +15,7 @@ from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.names import Remembered
 from tests.support.fake_device import CATALOG, topic
 from tests.support.memory_hub import MemoryHub, RecordingGuard, running
+from tests.support.waiting import expect
 
 V = Remembered("robot_0", "10.0.0.7", True)
 UNNAMED = [topic(EndpointKind.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
@@ -43,6 +44,7 @@ def read(folder: Path) -> dict[str, Remembered]:
 
 async def named(made: MemoryHub, address: str) -> str:
     device = await made.connect(UNNAMED, address=address)
+    await expect(lambda: made.hub.robots.of_link(device.link))
     robot = made.hub.robots.of_link(device.link)
     assert robot is not None
     return robot.name
