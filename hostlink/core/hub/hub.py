@@ -45,7 +45,6 @@ class Counts:
 
     refused: Counter[str] = field(default_factory=Counter)  # refused and evicted connections, by cause
     datagrams_dropped: Counter[str] = field(default_factory=Counter)  # UDP datagrams in both directions, by cause
-    velocities_replaced: Counter[str] = field(default_factory=Counter)  # by newer ones, by kind of client
     components: dict[str, Callable[[], Mapping[str, int]]] = field(default_factory=dict)  # counters of each component
 
 
