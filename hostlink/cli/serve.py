@@ -23,13 +23,13 @@ from hostlink.cli.ending import stop_signals
 from hostlink.cli.output import quantity, write, write_error
 from hostlink.components.gateway.server import serve_api
 from hostlink.components.recorder.recordings import Recordings
-from hostlink.components.recorder.robot_names import kept_names, names_file
 from hostlink.core import running as core
 from hostlink.core.components import Make, hosted_part
 from hostlink.core.config import Config
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.hub.gates import Guard
 from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.kept_names import kept_names, names_file
 from hostlink.core.hub.reloader import Read, Reloader
 from hostlink.core.hub.robots import Robots
 from hostlink.core.runtime import logs
@@ -50,6 +50,7 @@ GC_THRESHOLDS = (
     100,
 )  # often, so that each collection lasts a millisecond or two; the oldest generation after 50,000 objects
 
+RECORDINGS = "recordings"  # name of this part of the daemon in findings
 
 OnGraphEnd = Callable[[str], None]
 
@@ -86,7 +87,7 @@ async def running(
         nonlocal api
         async with (
             complaints_logged(),
-            kept_names(hub, names_file(config)),
+            kept_names(hub.links, names_file(config)),
             _recordings(hub) as recordings,
             _graphs(hub, config),
             _api(hub, config, recordings) as api,
@@ -119,12 +120,15 @@ async def running(
 @contextlib.asynccontextmanager
 async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
     """Open the recordings. They end after the robots were stopped, so that the stop is recorded."""
-    recordings = Recordings(hub)
-    await recordings.open()
-    try:
-        yield recordings
-    finally:
-        await recordings.aclose()
+    config = hub.config
+    with hosted_part(hub, RECORDINGS) as host:
+        api = spelled(config.api.host, config.api.port)
+        recordings = Recordings(host, config.recording, config.black_box, api=api)
+        await recordings.open()
+        try:
+            yield recordings
+        finally:
+            await recordings.aclose()
 
 
 @contextlib.asynccontextmanager

@@ -114,7 +114,7 @@ async def _run_once(hub: Hub, name: str, make: Make, counts: Counter[str]) -> st
 
 @contextlib.contextmanager
 def hosted_part(hub: Hub, name: str) -> Iterator[Host]:
-    """Make the host of a part of the daemon for a block. A crash of what it spawns ends only that work."""
+    """Make the host of a part of the daemon for the length of a block. A crash of spawned work ends only that work."""
     host = Host(hub, name, lambda work, part: hub.spawn(work, name=part), Counter())
     try:
         yield host

@@ -17,8 +17,8 @@ from hostlink.core.config import ParameterValue
 from hostlink.core.hub.byte_budget import Share
 from hostlink.core.hub.device import CommandEndpoint
 from hostlink.core.hub.devices import Capture, Devices
-from hostlink.core.hub.graph_view import Graph, GraphService, GraphTopic
-from hostlink.core.hub.hub import Hub, Listening
+from hostlink.core.hub.graph_view import OBSERVERS, Graph, GraphService, GraphTopic, is_imported
+from hostlink.core.hub.hub import DAEMON, Hub, Listening
 from hostlink.core.hub.isolation import Spawn
 from hostlink.core.hub.measures import LinkMeasures, Measures, RobotMeasures
 from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
@@ -29,7 +29,6 @@ from hostlink.core.hub.participant import MAX_ADVERTISED, MAX_CALLS, MAX_SUBSCRI
 from hostlink.core.hub.queue import Queue
 from hostlink.core.hub.reloader import Prepare, Reloaded
 from hostlink.core.hub.robot import LOCK_REASON, AnyRobot
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.hub.robot_handle import Measured, RecordedMotion, RobotHandle
 from hostlink.core.hub.robot_topic_publisher import own_topics
 from hostlink.core.hub.standstills import MAX_WAIT_S, WAIT_S, own_services
@@ -39,6 +38,7 @@ from hostlink.core.hub.topic import Receive
 from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.link.fair_share import Turns
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.state import RobotState
 from hostlink.core.robot.velocity import PlanarVelocity
@@ -46,12 +46,12 @@ from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import HostlinkError
 
 __all__ = [
-    "API_VERSION", "LOCK_REASON", "MAX_ADVERTISED", "MAX_CALLS", "MAX_SUBSCRIPTIONS", "MAX_WAIT_S", "PROGRAM_PRIORITY",
-    "WAIT_S", "Capture", "Component", "Devices", "EventKind", "Graph", "GraphService", "GraphTopic", "Host",
-    "KnownTopic", "LinkMeasures", "Listening", "Measured", "Measures", "Message", "NodeGraph", "Participant",
+    "API_VERSION", "LOCK_REASON", "MAX_ADVERTISED", "MAX_CALLS", "MAX_SUBSCRIPTIONS", "MAX_WAIT_S", "OBSERVERS",
+    "PROGRAM_PRIORITY", "WAIT_S", "Capture", "Component", "Devices", "EventKind", "Graph", "GraphService", "GraphTopic",
+    "Host", "KnownTopic", "LinkMeasures", "Listening", "Measured", "Measures", "Message", "NodeGraph", "Participant",
     "PlanarVelocity", "Queue", "Receive", "RecordedMotion", "Reloaded", "RobotEvent", "RobotHandle", "RobotMeasures",
-    "RobotState", "Role", "Share", "Spawn", "Standstill", "Stopped", "Stops", "Subscription", "Turns", "VelocityTopic",
-    "resolve", "to_parameter",
+    "RobotState", "Role", "Share", "Spawn", "Standstill", "Stopped", "Stops", "Subscription", "TopicSource", "Turns",
+    "VelocityTopic", "resolve", "to_parameter",
 ]  # fmt: skip
 
 API_VERSION = (1, 1)  # the second number grows with what is added, the first with what is removed or changed
@@ -67,6 +67,14 @@ class Stopped(NamedTuple):
 
     robots: dict[str, Standstill]
     unreached: tuple[str, ...]  # "topic: reason" of boards and topics without a robot; of all also "robot: reason"
+
+
+class TopicSource(NamedTuple):
+    """Source of a topic's messages: a robot, a device, another graph."""
+
+    robot: str  # of the device that publishes or takes it, or whose name the topic begins with; empty: of none
+    is_device: bool  # a device publishes it
+    is_elsewhere: bool  # only other graphs publish it and no device takes it, or it is of a robot of another daemon
 
 
 class Component(Generic[Settings]):
@@ -113,7 +121,7 @@ class Host:
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
         self._participants: list[Participant] = []  # with some that have left
         self._most = MANY  # of them, before those that have left are removed
-        self._watcher: Participant | None = None  # for what is read without a participant
+        self._follower: Participant | None = None  # of poses
         self._source: ParameterSource | None = None
         self._has_clock = False
         self._prepares: list[Prepare] = []
@@ -132,13 +140,24 @@ class Host:
         now_s = loop_time_s()
         return [robot.state(now_s) for robot in self._hub.robots.all()]
 
-    def robot(self, name: str) -> RobotState:
-        """Return the present state of a robot.
+    def robot(self, name: str, *, is_here: bool = False) -> RobotState:
+        """Return the present state of a robot; with `is_here` only of one whose device belongs to this daemon.
 
         Raises:
             UnknownTopic: there is no robot of this name.
         """
-        return self._hub.robots.find(name).state(loop_time_s())
+        robots = self._hub.robots
+        found = robots.find_here(name.strip("/")) if is_here else robots.find(name)
+        return found.state(loop_time_s())
+
+    def has_robot(self, name: str) -> bool:
+        """Whether a robot of this name exists, here or at another daemon."""
+        return self._hub.robots.has(name)
+
+    def is_played(self, robot: str) -> bool:
+        """Whether the device of a robot here is a recording that is played."""
+        found = self._hub.robots.get_here(robot)
+        return found is not None and found.is_played
 
     def states(self) -> Iterator[RobotState]:
         """Yield what `robots` returns. Each state is made when it is asked for, so that the work can be spread."""
@@ -262,18 +281,22 @@ class Host:
     def follow(self, robot: str, receive: Callable[[], None]) -> None:
         """Call `receive` after each new pose of a robot, until the run ends or the robot is forgotten.
 
+        A second `receive` for the same robot replaces the first one.
+
         Raises:
             UnknownTopic: there is no robot of this name.
         """
-        self._watching().follow(self._hub.robots.find(robot), receive)
+        if self._follower is None:
+            self._follower = self.join(self._name, role=Role.READ)
+        self._follower.follow(self._hub.robots.find(robot), receive)
 
     def observe(self, receive: Callable[[RobotEvent], None]) -> None:
         """Call `receive` with every event of robots and links, until the run ends."""
-        self._watching().observe(receive)
+        self.join(self._name, role=Role.READ).observe(receive)
 
     def watch_graph(self, on_change: Callable[[], None]) -> None:
         """Call `on_change` soon, and soon after every change of robots, topics and services, until the run ends."""
-        self._watching().watch_graph(on_change)
+        self.join(self._name, role=Role.READ).watch_graph(on_change)
 
     # -- topics and services ------------------------------------------------------------------------------------------
 
@@ -300,17 +323,20 @@ class Host:
         """Join as a part of the daemon: its services precede all others, and no failure of a callback ends it."""
         return self._joined(self._hub.join_daemon())
 
+    def join_as_observer(self, *, group: str = "") -> Participant:
+        """Join as a part of the daemon that only reads: to any number of topics, and no failure of a callback ends it.
+
+        `group` is as for `join`; a subscription of the group `OBSERVERS` alone makes no topic worth importing from
+        another graph.
+        """
+        return self._joined(Participant(self._hub, DAEMON, role=Role.READ, is_daemon=True, group=group))
+
     def _joined(self, participant: Participant) -> Participant:
         if len(self._participants) >= self._most:
             self._participants = [each for each in self._participants if not each.has_left]
             self._most = max(MANY, 2 * len(self._participants))
         self._participants.append(participant)
         return participant
-
-    def _watching(self) -> Participant:
-        if self._watcher is None:
-            self._watcher = self.join(self._name, role=Role.READ)
-        return self._watcher
 
     @property
     def messages(self) -> Catalog:
@@ -324,6 +350,20 @@ class Host:
         A value is one that `to_parameter` accepts.
         """
         return self._hub.parameters
+
+    def topic_source(self, topic: str) -> TopicSource:
+        """Return where the messages of a topic come from."""
+        robots, first = self._hub.robots, topic.lstrip("/").partition("/")[0]
+        is_remote = first in robots.remote and robots.get_here(first) is None
+        found = self._hub.topics.find_or_none(topic)
+        if found is None:
+            return TopicSource(first if robots.has(first) else "", is_device=False, is_elsewhere=is_remote)
+        users = [robot for robot in map(robots.of_link, (*found.publishers, *found.devices)) if robot is not None]
+        return TopicSource(
+            users[0].name if len(users) == 1 else first if robots.has(first) else "",
+            is_device=found.has_device_publisher,
+            is_elsewhere=is_remote or (not found.devices and is_imported(found)),
+        )
 
     def device_names(self) -> list[tuple[str, str]]:
         """Return each name of a topic or service that a device has announced, with its name in the graph."""
@@ -412,9 +452,9 @@ class Host:
         """Log and count an exception that was caught, as `around` does."""
         self._hub.isolation.crashed(what, error, **facts)
 
-    def report(self, problem: str) -> None:
-        """Say what is wrong with the component, as `hostlink doctor` shows it; empty: it works."""
-        self._hub.diagnoses.observe_own(self._name, "component_troubled" if problem else "", problem)
+    def report(self, problem: str, *, code: str = "component_troubled") -> None:
+        """Say what is wrong with the component, as `hostlink doctor` shows it; empty: it works. `code`: its finding."""
+        self._hub.diagnoses.observe_own(self._name, code if problem else "", problem)
 
     def close(self) -> None:
         """End everything that the run took. Called by the daemon."""

@@ -11,8 +11,8 @@ from hostlink.cli.explain import explanation
 from hostlink.core.config import Config, RobotConfig, WheelsConfig
 from hostlink.core.hub.devices import Devices
 from hostlink.core.hub.reloader import places_of
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import CommandRefused, UnknownTopic
 from tests.support.fake_device import topic

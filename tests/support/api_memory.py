@@ -13,11 +13,10 @@ from aiohttp import web
 
 from hostlink.components.gateway.listener import MakeProtocol, PacedReading
 from hostlink.components.gateway.server import ApiServer, protocols_of
-from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.config import BlackBoxConfig, Config, RecordingConfig
 from hostlink.core.hub.hub import Hub
 from tests.support.fake_device import CATALOG, robot_topics
-from tests.support.hosts import part_of
+from tests.support.hosts import host_of, recordings_of
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
@@ -178,8 +177,8 @@ class ApiMemory:
             config, recording=RecordingConfig(folder=folder, drives=False), black_box=BlackBoxConfig(enabled=False)
         )
         self.hub = Hub(config, CATALOG, reraises=True)
-        self.host = part_of(self.hub)
-        self.server = ApiServer(self.host, config, Recordings(self.hub))
+        self.host = host_of(self.hub)
+        self.server = ApiServer(self.host, config, recordings_of(self.hub))
         self.make_protocol: MakeProtocol
         self.device: ScriptedDevice
 

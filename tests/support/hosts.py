@@ -1,16 +1,30 @@
-"""The interface of a component, in a hub of a test."""
+"""The interface of a component, and the parts that use it, in a hub of a test."""
 
 from collections import Counter
+from pathlib import Path
 
+from hostlink.components.recorder.black_box import BlackBox
+from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.host import Host
 from hostlink.core.hub.hub import Hub
-
-
-def part_of(hub: Hub, name: str = "gateway") -> Host:
-    """Make that of a part of the daemon, whose tasks run as long as the hub."""
-    return Host(hub, name, lambda work, part: hub.spawn(work, name=part), Counter())
 
 
 def host_in(hub: Hub, name: str = "test") -> Host:
     """Make one that runs no tasks."""
     return Host(hub, name, lambda work, _: work.close(), Counter())
+
+
+def host_of(hub: Hub, name: str = "test") -> Host:
+    """Make one whose tasks the hub runs."""
+    return Host(hub, name, lambda work, part: hub.spawn(work, name=part), Counter())
+
+
+def recordings_of(hub: Hub) -> Recordings:
+    """Make the recordings of a daemon with the hub's settings."""
+    return Recordings(host_of(hub, "recordings"), hub.config.recording, hub.config.black_box)
+
+
+def black_box_of(hub: Hub, folder: Path) -> BlackBox:
+    """Make the black box of a daemon with the hub's settings."""
+    free_mb = hub.config.recording.min_free_disk_mb
+    return BlackBox(host_of(hub, "recordings"), hub.config.black_box, folder, min_free_disk_mb=free_mb)

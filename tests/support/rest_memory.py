@@ -19,7 +19,7 @@ from hostlink.core.hub.node import Role
 from hostlink.core.hub.reloader import Read
 from hostlink.core.protocol.endpoint import DeviceEndpoint
 from tests.support.fake_device import CATALOG, robot_topics
-from tests.support.hosts import part_of
+from tests.support.hosts import host_of
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
@@ -29,7 +29,7 @@ class RestCalls:
     """Requests of the REST API of a hub."""
 
     def __init__(self, hub: Hub, drives: Any = None) -> None:
-        self.hub, host = hub, part_of(hub)
+        self.hub, host = hub, host_of(hub)
         self.host, self.owners = host, Owners(host)
         self._app = web.Application()
         self.add(Rest(host, hub.config, Clients(4, max_per_address=4), self.owners, drives).routes())

@@ -117,7 +117,7 @@ class FoxgloveDirectory:
     def __init__(self, host: Host) -> None:
         self.session_id = os.urandom(8).hex()  # tells a client that reconnects whether the daemon was restarted
         self._graph = host.graph
-        self._participant = host.join_as_daemon()
+        self._participant = host.join_as_observer()
         self._numbers = itertools.count(1)
         self._channels: dict[Hashable, FoxgloveChannel] = {}
         self._services: dict[Hashable, FoxgloveService] = {}

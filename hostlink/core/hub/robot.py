@@ -5,7 +5,7 @@ import functools
 import math
 import secrets
 from abc import abstractmethod
-from collections.abc import Awaitable, Callable, Hashable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Sequence, Set
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -17,7 +17,6 @@ from hostlink.core.diagnosis.motion_monitor import RECENT_S, Speed
 from hostlink.core.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.node import Node, address_of
-from hostlink.core.hub.robot_events import EventKind
 from hostlink.core.hub.topic import DeviceSubscription
 from hostlink.core.hub.topic_graph import TopicGraph
 from hostlink.core.link.link import Link
@@ -25,7 +24,10 @@ from hostlink.core.robot.admission import EPOCH_BITS, Admission, Command
 from hostlink.core.robot.command_types import (
     ACKERMANN_TYPES,
     JOINT_STATE_TYPE,
+    JOY_TYPE,
     NUMBER_TYPES,
+    TEXT_TYPES,
+    VECTOR_TYPE,
     AckermannCommand,
     CommandType,
     JoyCommand,
@@ -38,6 +40,7 @@ from hostlink.core.robot.command_types import (
     WordCommand,
     Words,
 )
+from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.feedback import Feedback, FeedbackKind, FeedbackSettings
 from hostlink.core.robot.kinematics import SETTINGS as DIMENSIONS
 from hostlink.core.robot.kinematics import WHEELS_NEED, AckermannDrive, Drive, drive_of
@@ -127,7 +130,20 @@ def limits_of(config: RobotConfig, commands: tuple[TopicType, ...] = ()) -> Limi
     Raises:
         ConfigError: a limit or a dimension of the drive is invalid.
     """
-    return Limits(**{name: getattr(config, name) for name in LIMITS}, drive=drive_in(config, commands))
+    drive, lacks = drive_in(config, commands), _components_without_field(config, {each.type_name for each in commands})
+    return Limits(**{name: getattr(config, name) for name in LIMITS}, drive=drive.without(lacks) if lacks else drive)
+
+
+def _components_without_field(config: RobotConfig, types: Set[str]) -> list[str]:
+    """Return the components of a velocity that a robot's command topics of these types cannot express."""
+    if config.joy is not None and JOY_TYPE in types:
+        axes = {"linear.y": config.joy.y_axis, "angular.z": config.joy.yaw_axis}
+        return [name for name, axis in axes.items() if axis is None]
+    if config.vector is not None and VECTOR_TYPE in types:
+        fields = {"linear.x": "x", "linear.y": "y", "angular.z": "yaw"}
+        return [name for name, each in fields.items() if each not in config.vector.fields]
+    is_word = config.words is not None and not types.isdisjoint((*TEXT_TYPES, *NUMBER_TYPES))
+    return ["linear.y"] if is_word else []
 
 
 def frames_of(name: str, config: RobotConfig) -> FrameIds:

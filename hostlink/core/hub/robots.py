@@ -29,10 +29,10 @@ from hostlink.core.hub.robot import (
     of_namesake,
     shown_reason,
 )
-from hostlink.core.hub.robot_events import OTHER_TOPICS, EventKind
 from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import EPOCH_BITS, Admission, EarlierCommands
 from hostlink.core.robot.command_types import CommandType, TopicType, TwistCommand
+from hostlink.core.robot.events import OTHER_TOPICS, EventKind
 from hostlink.core.robot.feedback import Feedback, FeedbackSettings
 from hostlink.core.robot.model import CommandKind, RobotTopicNames
 from hostlink.core.robot.odometry import OdometryEstimator

@@ -12,7 +12,7 @@ from hostlink.core.host import LOCK_REASON, PROGRAM_PRIORITY, Host, PlanarVeloci
 from hostlink.core.robot.standstill import StandstillState
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 from hostlink.errors import BadRequest, CommandRefused, ReloadRefused, UnknownTopic
-from tests.support.hosts import part_of
+from tests.support.hosts import host_of
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.virtual_loop import inside
 
@@ -27,7 +27,7 @@ POSE = struct.Struct("<3d")
 @inside(in_hub)
 async def test_handle_drives_follows_and_measures_its_robot(made: MemoryHub) -> None:
     device = await made.connect()
-    host = part_of(made.hub)
+    host = host_of(made.hub)
     me, robot, news = host.join("arm"), host.find("robot_0"), list[None]()
     assert (robot.name, robot.link, robot.odometry()) == ("robot_0", device.link.number, None)
     robot.follow(me, lambda: news.append(None))
@@ -55,7 +55,7 @@ async def test_handle_drives_follows_and_measures_its_robot(made: MemoryHub) -> 
 @inside(in_hub)
 async def test_handle_locks_and_unlocks_its_robot(made: MemoryHub) -> None:
     await made.connect()
-    host = part_of(made.hub)
+    host = host_of(made.hub)
     robot = host.find_to_stop("/robot_0")
     robot.lock(by="a button")
     assert robot.state().lock_reason == LOCK_REASON
@@ -69,7 +69,7 @@ async def test_handle_locks_and_unlocks_its_robot(made: MemoryHub) -> None:
 @inside(in_hub, config=Config())
 async def test_handle_of_a_forgotten_robot_knows_it(made: MemoryHub) -> None:
     device = await made.connect()
-    host = part_of(made.hub)
+    host = host_of(made.hub)
     robot = host.find("robot_0")
     motion = robot.recorded_motion()
     assert motion is not None
@@ -86,7 +86,7 @@ async def test_handle_of_a_forgotten_robot_knows_it(made: MemoryHub) -> None:
 @inside(in_hub)
 async def test_states_are_made_one_by_one(made: MemoryHub) -> None:
     await made.connect()
-    host = part_of(made.hub)
+    host = host_of(made.hub)
     states = host.states()
     host.stops.lock_all("later", by="a button")
     assert [state.lock_reason for state in states] == ["later"]
@@ -95,7 +95,7 @@ async def test_states_are_made_one_by_one(made: MemoryHub) -> None:
 @inside(in_hub)
 async def test_stops_of_all_are_sent_at_once_and_measured(made: MemoryHub) -> None:
     device = await made.connect()
-    host = part_of(made.hub)
+    host = host_of(made.hub)
     me = host.join("arm")
     host.find("robot_0").drive(me, FORWARD)
     since_s = host.now_s
@@ -116,7 +116,7 @@ async def test_stops_of_all_are_sent_at_once_and_measured(made: MemoryHub) -> No
 @inside(in_hub)
 async def test_graph_names_topics_services_and_nodes(made: MemoryHub) -> None:
     await made.connect()
-    host = part_of(made.hub)
+    host = host_of(made.hub)
     graph, me = host.graph, host.join("client 1 (a browser)")
     me.advertise("/chatter", "std_msgs/String")
 
@@ -145,7 +145,7 @@ async def test_graph_names_topics_services_and_nodes(made: MemoryHub) -> None:
 @inside(in_hub)
 async def test_measures_are_copies_of_the_counters(made: MemoryHub) -> None:
     device = await made.connect()
-    host = part_of(made.hub)
+    host = host_of(made.hub)
     made.hub.counts.refused["no_key"] += 1
     found = host.measures.daemon()
     made.hub.counts.refused["no_key"] += 1
@@ -160,7 +160,7 @@ async def test_measures_are_copies_of_the_counters(made: MemoryHub) -> None:
 @inside(in_hub)
 async def test_capture_of_an_unknown_link_names_the_known_ones(made: MemoryHub) -> None:
     device = await made.connect()
-    host = part_of(made.hub)
+    host = host_of(made.hub)
     number = device.link.number
     found = host.devices.capture(number)
     assert (found.number, found.protocol, found.lost, found.seconds) == (number, "rosserial", (0, 0), None)
@@ -216,6 +216,6 @@ async def test_check_of_a_reload_ends_with_the_run(made: MemoryHub) -> None:
 
 @inside(in_hub)
 async def test_parameter_that_a_component_changes_is_one_for_devices(made: MemoryHub) -> None:
-    host: Host = part_of(made.hub)
+    host: Host = host_of(made.hub)
     host.parameters["/gain"] = 2.5
     assert made.hub.parameters["/gain"] == 2.5
