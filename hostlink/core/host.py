@@ -5,11 +5,13 @@ A component offers the robots to something outside: a broker, a cloud, a display
 """
 
 import contextlib
+import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import AbstractContextManager
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from weakref import WeakValueDictionary
 
 import structlog
 
@@ -55,8 +57,6 @@ __all__ = [
 ]  # fmt: skip
 
 API_VERSION = (1, 1)  # the second number grows with what is added, the first with what is removed or changed
-
-MANY = 16
 
 log = structlog.get_logger()
 Settings = TypeVar("Settings")
@@ -119,8 +119,9 @@ class Host:
     ) -> None:
         """`spawn` runs work as long as the component. `counts`: the component's counters, of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
-        self._participants: list[Participant] = []  # with some that have left
-        self._most = MANY  # of them, before those that have left are removed
+        # One that the hub and the component have let go of is not kept, nor what its callbacks refer to.
+        self._participants: WeakValueDictionary[int, Participant] = WeakValueDictionary()
+        self._numbers = itertools.count(1)
         self._follower: Participant | None = None  # of poses
         self._source: ParameterSource | None = None
         self._has_clock = False
@@ -332,10 +333,7 @@ class Host:
         return self._joined(Participant(self._hub, DAEMON, role=Role.READ, is_daemon=True, group=group))
 
     def _joined(self, participant: Participant) -> Participant:
-        if len(self._participants) >= self._most:
-            self._participants = [each for each in self._participants if not each.has_left]
-            self._most = max(MANY, 2 * len(self._participants))
-        self._participants.append(participant)
+        self._participants[next(self._numbers)] = participant
         return participant
 
     @property
@@ -458,7 +456,7 @@ class Host:
 
     def close(self) -> None:
         """End everything that the run took. Called by the daemon."""
-        for participant in self._participants:
+        for participant in list(self._participants.values()):
             participant.leave()
         self._participants.clear()
         if self._source is not None and self._hub.links.parameter_source is self._source:
