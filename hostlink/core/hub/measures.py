@@ -10,6 +10,7 @@ from hostlink.core.robot.odometry import OdometrySnapshot
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.latency import Latency
 from hostlink.core.runtime.loop_time import loop_time_s
+from hostlink.errors import RefusalKind
 
 if TYPE_CHECKING:
     from hostlink.core.hub.hub import Hub
@@ -48,7 +49,7 @@ class RobotMeasures(NamedTuple):
     velocities_refused: int  # by its device
     unreadable: int  # messages of its odometry
     outcomes: Mapping[str, int]  # of commands at its gate
-    refusals: Mapping[str, int]  # of its admission, by kind
+    refusals: Mapping[RefusalKind, int]  # of its admission
     is_locked: bool
     is_driven: bool
     commanded: PlanarVelocity
