@@ -68,15 +68,14 @@ async def running(
     @contextlib.asynccontextmanager
     async def parts(hub: Hub) -> AsyncIterator[None]:
         nonlocal api
-        reloader = Reloader(hub, read)
         async with (
             complaints_logged(),
             kept_names(hub.links, names_file(config)),
             _recordings(hub) as recordings,
             _graphs(hub, config),
-            serve_api(hub, recordings, reloader) as api,
+            _api(hub, config, recordings) as api,
         ):
-            with reload_signal(reloader):
+            with reload_signal(hub.reloader):
                 yield
 
     own: dict[str, Make] = {}
@@ -84,7 +83,7 @@ async def running(
         ros1 = importlib.import_module("hostlink.components.ros1.node").Ros1
         own["ros1"] = lambda: ros1(config.ros1, on_graph_end)
     async with core.running(
-        config, guard=guard, around=parts, own=own, on_listening=on_listening, listening=listening
+        config, guard=guard, read=read, around=parts, own=own, on_listening=on_listening, listening=listening
     ) as (hub, devices):
         udp = {} if devices.udp is None else {"udp": spelled(*devices.udp)}
         loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
@@ -113,6 +112,14 @@ async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
             yield recordings
         finally:
             await recordings.aclose()
+
+
+@contextlib.asynccontextmanager
+async def _api(hub: Hub, config: Config, recordings: Recordings) -> AsyncIterator[str]:
+    """Serve the API. It ends after the robots were stopped, so that programs see the stop."""
+    with hosted_part(hub, "gateway") as host:
+        async with serve_api(host, config, recordings) as address:
+            yield address
 
 
 @contextlib.asynccontextmanager

@@ -5,29 +5,39 @@ A component offers the robots to something outside: a broker, a cloud, a display
 """
 
 import contextlib
+import itertools
 import time
 from collections import Counter
-from collections.abc import Callable, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import AbstractContextManager
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from weakref import WeakValueDictionary
 
 import structlog
 
+from hostlink.core.config import ParameterValue
 from hostlink.core.hub.byte_budget import Share
 from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.hub.devices import Capture, Devices
 from hostlink.core.hub.graph_view import OBSERVERS, Graph, GraphService, GraphTopic, is_imported
 from hostlink.core.hub.hub import DAEMON, Hub, Listening
 from hostlink.core.hub.isolation import Spawn
+from hostlink.core.hub.measures import LinkMeasures, Measures, RobotMeasures
 from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.core.hub.node import Role
-from hostlink.core.hub.parameters import ParameterSource
-from hostlink.core.hub.participant import Participant
+from hostlink.core.hub.node_graph import KnownTopic, NodeGraph, VelocityTopic
+from hostlink.core.hub.parameters import ParameterSource, to_parameter
+from hostlink.core.hub.participant import MAX_ADVERTISED, MAX_CALLS, MAX_SUBSCRIPTIONS, Participant
 from hostlink.core.hub.queue import Queue
-from hostlink.core.hub.robot import AnyRobot
+from hostlink.core.hub.reloader import Prepare, Reloaded
+from hostlink.core.hub.robot import LOCK_REASON, AnyRobot
+from hostlink.core.hub.robot_handle import Measured, RecordedMotion, RobotHandle
 from hostlink.core.hub.robot_topic_publisher import own_topics
-from hostlink.core.hub.standstills import own_services
+from hostlink.core.hub.standstills import MAX_WAIT_S, WAIT_S, own_services
+from hostlink.core.hub.stops import Stops
 from hostlink.core.hub.subscription import Subscription
 from hostlink.core.hub.topic import Receive
+from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.link.fair_share import Turns
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.robot.events import EventKind, RobotEvent
@@ -38,14 +48,15 @@ from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import HostlinkError
 
 __all__ = [
-    "API_VERSION", "OBSERVERS", "Component", "EventKind", "Graph", "GraphService", "GraphTopic", "Host", "Listening",
-    "Message", "Participant", "PlanarVelocity", "Queue", "Receive", "RobotEvent", "RobotState", "Role", "Spawn",
-    "Standstill", "Stopped", "Subscription", "TopicSource",
+    "API_VERSION", "LOCK_REASON", "MAX_ADVERTISED", "MAX_CALLS", "MAX_SUBSCRIPTIONS", "MAX_WAIT_S", "OBSERVERS",
+    "PROGRAM_PRIORITY", "WAIT_S", "Capture", "Component", "Devices", "EventKind", "Graph", "GraphService", "GraphTopic",
+    "Host", "KnownTopic", "LinkMeasures", "Listening", "Measured", "Measures", "Message", "NodeGraph", "Participant",
+    "PlanarVelocity", "Queue", "Receive", "RecordedMotion", "Reloaded", "RobotEvent", "RobotHandle", "RobotMeasures",
+    "RobotState", "Role", "Share", "Spawn", "Standstill", "Stopped", "Stops", "Subscription", "TopicSource", "Turns",
+    "VelocityTopic", "resolve", "to_parameter",
 ]  # fmt: skip
 
 API_VERSION = (1, 1)  # the second number grows with what is added, the first with what is removed or changed
-
-MANY = 16
 
 log = structlog.get_logger()
 Settings = TypeVar("Settings")
@@ -98,18 +109,29 @@ class Component(Generic[Settings]):
 
 
 class Host:
-    """Interface of one run of a component. All that the run takes by it ends with the run: its robots stop."""
+    """Interface of one run of a component. All that the run takes by it ends with the run: its robots stop.
+
+    `devices`, `graph`, `stops` and `measures` are for components that show all of the daemon, as the gateway does.
+    """
 
     def __init__(
         self, hub: Hub, name: str, spawn: Callable[[Coroutine[Any, Any, object], str], None], counts: Counter[str]
     ) -> None:
         """`spawn` runs work as long as the component. `counts`: the component's counters, of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
-        self._participants: list[Participant] = []  # with some that have left
-        self._most = MANY  # of them, before those that have left are removed
+        # One that the hub and the component have let go of is not kept, nor what its callbacks refer to.
+        self._participants: WeakValueDictionary[int, Participant] = WeakValueDictionary()
+        self._numbers = itertools.count(1)
         self._follower: Participant | None = None  # of poses
         self._source: ParameterSource | None = None
         self._has_clock = False
+        self._prepares: list[Prepare] = []
+        self.devices = Devices(hub)  # connected devices and their connections
+        self.graph = NodeGraph(hub)  # topics, services and nodes
+        self.stops = Stops(hub.robots, hub.gates, hub.standstills)  # of every robot and board
+        self.measures = Measures(hub)  # counters
+        self.came_s = hub.gates.came_s  # earliest time at which what is read at a time may have arrived
+        self.hold_writes, self.write_held = hub.gates.hold, hub.gates.write  # velocities of one turn, written at once
         self.log = log.bind(component=name)
 
     # -- robots -------------------------------------------------------------------------------------------------------
@@ -137,6 +159,33 @@ class Host:
         """Whether the device of a robot here is a recording that is played."""
         found = self._hub.robots.get_here(robot)
         return found is not None and found.is_played
+
+    def states(self) -> Iterator[RobotState]:
+        """Yield what `robots` returns. Each state is made when it is asked for, so that the work can be spread."""
+        return (robot.state(loop_time_s()) for robot in self._hub.robots.all())
+
+    def find(self, name: str, *, driver: Callable[[], Participant] | None = None) -> RobotHandle:
+        """Return the robot of this name, connected or not. `driver` returns the source that wants to drive it.
+
+        Raises:
+            UnknownTopic: there is none. What the source repeats moves no robot that has this name later.
+        """
+        return self._handle(self._hub.robots.find(name, driver=driver))
+
+    def find_to_stop(self, name: str) -> RobotHandle:
+        """Return the robot of this name, for a stop or a lock; also one of the settings that was not connected yet.
+
+        Raises:
+            UnknownTopic: there is none, and the settings do not name it.
+        """
+        return self._handle(self._hub.robots.find_to_stop(name))
+
+    def robots_here(self) -> list[RobotHandle]:
+        """Return the robots of this daemon by name, connected or not yet forgotten."""
+        return [self._handle(robot) for robot in self._hub.robots.here()]
+
+    def _handle(self, robot: AnyRobot) -> RobotHandle:
+        return RobotHandle(robot, self._hub.robots, self._hub.standstills)
 
     def drive(
         self,
@@ -271,6 +320,10 @@ class Host:
         """
         return self._joined(Participant(self._hub, name, role=role, priority=priority, group=group, on_end=on_end))
 
+    def join_as_daemon(self) -> Participant:
+        """Join as a part of the daemon: its services precede all others, and no failure of a callback ends it."""
+        return self._joined(self._hub.join_daemon())
+
     def join_as_observer(self, *, group: str = "") -> Participant:
         """Join as a part of the daemon that only reads: to any number of topics, and no failure of a callback ends it.
 
@@ -280,10 +333,7 @@ class Host:
         return self._joined(Participant(self._hub, DAEMON, role=Role.READ, is_daemon=True, group=group))
 
     def _joined(self, participant: Participant) -> Participant:
-        if len(self._participants) >= self._most:
-            self._participants = [each for each in self._participants if not each.has_left]
-            self._most = max(MANY, 2 * len(self._participants))
-        self._participants.append(participant)
+        self._participants[next(self._numbers)] = participant
         return participant
 
     @property
@@ -292,8 +342,11 @@ class Host:
         return self._hub.catalog
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
-        """The parameters for devices, by name, as they are now."""
+    def parameters(self) -> MutableMapping[str, ParameterValue]:
+        """Parameters for devices, by name as in the settings. What is changed holds until the daemon ends.
+
+        A value is one that `to_parameter` accepts.
+        """
         return self._hub.parameters
 
     def topic_source(self, topic: str) -> TopicSource:
@@ -339,6 +392,22 @@ class Host:
         """Answer devices' requests for the time by this clock, in nanoseconds; None: by the computer's."""
         self._hub.links.wall_ns = time.time_ns if wall_ns is None else wall_ns
         self._has_clock = wall_ns is not None
+
+    # -- settings -----------------------------------------------------------------------------------------------------
+
+    def on_reload(self, prepare: Prepare) -> None:
+        """Let `prepare` check the settings of each reload, in a thread. It returns the function that applies them."""
+        self._prepares.append(prepare)
+        self._hub.reloader.prepares.append(prepare)
+
+    async def reload(self) -> Reloaded:
+        """Read the settings again, and apply what can change without a restart, or nothing.
+
+        Raises:
+            ReloadRefused: there is no file, it cannot be read in time, or a robot that is driven would be renamed.
+            ConfigError: a setting is wrong.
+        """
+        return await self._hub.reloader.reload()
 
     # -- the component itself -----------------------------------------------------------------------------------------
 
@@ -387,13 +456,16 @@ class Host:
 
     def close(self) -> None:
         """End everything that the run took. Called by the daemon."""
-        for participant in self._participants:
+        for participant in list(self._participants.values()):
             participant.leave()
         self._participants.clear()
         if self._source is not None and self._hub.links.parameter_source is self._source:
             self.answer_parameters(None)
         if self._has_clock:
             self.set_clock(None)
+        for prepare in self._prepares:
+            self._hub.reloader.prepares.remove(prepare)
+        self._prepares.clear()
 
 
 def _unreached(endpoints: Iterable[CommandEndpoint]) -> tuple[str, ...]:

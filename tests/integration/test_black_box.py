@@ -23,7 +23,7 @@ from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.detached import start_python
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
-from tests.support.hosts import black_box_of
+from tests.support.hosts import black_box_of, host_of
 from tests.support.waiting import TIMEOUT_S, expect
 
 FORWARD, STANDING = ({"linear_m_s": speed_m_s, "linear_y_m_s": 0.0, "angular_rad_s": 0.0} for speed_m_s in (0.2, 0.0))
@@ -151,7 +151,7 @@ async def test_histories_are_made_one_at_a_time(tmp_path: Path) -> None:
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         (incident,) = await saved(host)
         box = black_box_of(host.hub, tmp_path)
-        histories = HistoryRoutes(host.hub, box, box.folder)
+        histories = HistoryRoutes(host_of(host.hub), box, box.folder)
         histories._turn = Turn(1)
         handler_of = {route.path: route.handler for route in histories.routes()}
         handlers = [handler_of["/api/robots/{name}/history"], handler_of["/api/incidents/{name}/history"]]

@@ -39,7 +39,7 @@ async def boxed(folder: Path) -> AsyncIterator[tuple[RestMemory, BlackBox]]:
         box = black_box_of(api.hub, folder)
         before = len(api.hub.topics.find(f"/{ROBOT}/odometry").subscribers)
         box.start()
-        api.add(HistoryRoutes(api.hub, box, box.folder).routes())
+        api.add(HistoryRoutes(api.host, box, box.folder).routes())
         await expect(lambda: len(api.hub.topics.find(f"/{ROBOT}/odometry").subscribers) > before)
         await api.device.send(ODOMETRY_ID, POSE.pack(1.00000049, 2.0, 0.5))
         await api.device.send(ODOMETRY_ID, POSE.pack(1.5, 2.0, 0.5))

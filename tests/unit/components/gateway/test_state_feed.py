@@ -19,7 +19,7 @@ from hostlink.core.protocol.rosserial.control import Log
 from hostlink.core.protocol.rosserial.frame import Id
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import CATALOG, robot_topics
-from tests.support.hosts import recordings_of
+from tests.support.hosts import host_of, recordings_of
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual, virtual
 
@@ -33,7 +33,7 @@ def with_feed(test: Callable[[Hub, StateFeed], Awaitable[None]]) -> None:
             running = tasks.create_task(hub.run())
             await hub.is_running.wait()
             recordings = recordings_of(hub)
-            await test(hub, StateFeed(hub, Clients(8, max_per_address=8), recordings))
+            await test(hub, StateFeed(host_of(hub), Clients(8, max_per_address=8), recordings))
             await recordings.aclose()
             running.cancel()
 
@@ -282,7 +282,7 @@ def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True)
         recordings = recordings_of(hub)
-        feed = StateFeed(hub, Clients(8, max_per_address=8), recordings)
+        feed = StateFeed(host_of(hub), Clients(8, max_per_address=8), recordings)
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())
             await hub.is_running.wait()
@@ -305,7 +305,7 @@ def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
 async def test_streams_end_with_the_hub() -> None:
     hub = Hub(Config(), CATALOG, reraises=True)
     recordings = recordings_of(hub)
-    feed = StateFeed(hub, Clients(8, max_per_address=8), recordings)
+    feed = StateFeed(host_of(hub), Clients(8, max_per_address=8), recordings)
     reader = Reader(feed)
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(hub.run())
