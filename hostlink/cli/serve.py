@@ -89,7 +89,6 @@ async def running(
             complaints_logged(),
             kept_names(hub, names_file(config)),
             _recordings(hub) as recordings,
-            _graphs(hub, config),
             serve_api(hub, recordings, reloader) as api,
         ):
             with reload_signal(reloader):
@@ -99,6 +98,8 @@ async def running(
     if config.ros1.master:
         ros1 = importlib.import_module("hostlink.components.ros1.node").Ros1
         own["ros1"] = lambda: ros1(config.ros1, on_graph_end)
+    if config.zenoh is not None:
+        own["zenoh"] = importlib.import_module("hostlink.components.zenoh.running").loaded(config.zenoh)
     async with core.running(
         config, guard=guard, around=parts, own=own, on_listening=on_listening, listening=listening
     ) as (hub, devices):
@@ -126,16 +127,6 @@ async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
         yield recordings
     finally:
         await recordings.aclose()
-
-
-@contextlib.asynccontextmanager
-async def _graphs(hub: Hub, config: Config) -> AsyncIterator[None]:
-    """Connect to the graphs of Zenoh that are configured; its modules are not imported otherwise."""
-    async with contextlib.AsyncExitStack() as graphs:
-        if config.zenoh is not None:
-            module = importlib.import_module("hostlink.components.zenoh.running")
-            await graphs.enter_async_context(module.zenoh_running(hub, config.zenoh))
-        yield
 
 
 def run(

@@ -21,11 +21,14 @@ from hostlink.core.hub.isolation import Spawn
 from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.core.hub.node import Role
 from hostlink.core.hub.parameters import ParameterSource
-from hostlink.core.hub.participant import Participant
+from hostlink.core.hub.participant import MAX_ADVERTISED, Participant
+from hostlink.core.hub.providers import Provision, RobotProvider
 from hostlink.core.hub.queue import Queue
+from hostlink.core.hub.remote_robot import RemoteRobot, RemoteRobots
 from hostlink.core.hub.robot import AnyRobot
 from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.hub.robot_topic_publisher import own_topics
+from hostlink.core.hub.robots_here import RobotHere, RobotsHere
 from hostlink.core.hub.standstills import own_services
 from hostlink.core.hub.subscription import Subscription
 from hostlink.core.hub.topic import Receive
@@ -38,9 +41,10 @@ from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import HostlinkError
 
 __all__ = [
-    "API_VERSION", "Component", "EventKind", "Graph", "GraphService", "GraphTopic", "Host", "Listening", "Message",
-    "Participant", "PlanarVelocity", "Queue", "Receive", "RobotEvent", "RobotState", "Role", "Spawn", "Standstill",
-    "Stopped", "Subscription",
+    "API_VERSION", "MAX_ADVERTISED", "CommandEndpoint", "Component", "EventKind", "Graph", "GraphService", "GraphTopic",
+    "Host", "Listening", "Message", "Participant", "PlanarVelocity", "Queue", "Receive", "RemoteRobot", "RemoteRobots",
+    "RobotEvent", "RobotHere", "RobotProvider", "RobotState", "RobotsHere", "Role", "Spawn", "Standstill", "Stopped",
+    "Subscription",
 ]  # fmt: skip
 
 API_VERSION = (1, 0)  # the second number grows with what is added, the first with what is removed or changed
@@ -102,6 +106,9 @@ class Host:
         self._watcher: Participant | None = None  # for what is read without a participant
         self._source: ParameterSource | None = None
         self._has_clock = False
+        self._remote: list[RemoteRobots] = []
+        self._here: RobotsHere | None = None
+        self.came_s = hub.gates.came_s  # earliest time at which what is read at a time may have arrived
         self.log = log.bind(component=name)
 
     # -- robots -------------------------------------------------------------------------------------------------------
@@ -293,6 +300,52 @@ class Host:
         self._hub.links.wall_ns = time.time_ns if wall_ns is None else wall_ns
         self._has_clock = wall_ns is not None
 
+    # -- robots that are held elsewhere, and other daemons that use those here ----------------------------------------
+
+    def announce_robots(self, provider: RobotProvider) -> RemoteRobots:
+        """Reach robots that are held elsewhere by a provider, until the run ends. The result announces each of them.
+
+        A stop, a lock and an unlock of all reach the provider at once, and those of a robot by its name. Users see the
+        robots as those that are here. Commands for them pass the same rules, before the provider sends them. A failure
+        of the provider is a failure of the component.
+        """
+
+        def fail(error: Exception) -> None:
+            work = _raise(error)
+            try:
+                self._spawn(work, "provider of robots")
+            except RuntimeError:  # the run is ending
+                work.close()
+                self.crashed("component", error, component=self._name)
+
+        robots = RemoteRobots(
+            self._hub.robots, self._hub.gates, self._hub.topics, Provision(provider, self._name, fail)
+        )
+        self._remote.append(robots)
+        return robots
+
+    @property
+    def here(self) -> RobotsHere:
+        """The robots and boards of this daemon alone, for requests of other daemons."""
+        if self._here is None:
+            self._here = RobotsHere(self._hub.robots)
+        return self._here
+
+    def is_elsewhere(self, robot: str) -> bool:
+        """Whether the robot of this name, as `robots` shows it, is held elsewhere."""
+        remote = self._hub.robots.remote.get(robot)
+        return remote is not None and self._hub.robots.find(robot) is remote
+
+    @property
+    def slept_s(self) -> float:
+        """For how long this computer has slept so far, in seconds. `now_s` does not count it."""
+        return self._hub.slept_s()
+
+    @property
+    def forget_after_s(self) -> float:
+        """For how long a disconnected robot is kept."""
+        return self._hub.config.link.forget_robot_after_s
+
     # -- the component itself -----------------------------------------------------------------------------------------
 
     @property
@@ -313,10 +366,10 @@ class Host:
         """Add to a counter of the component, which GET /metrics shows."""
         self._counts[what] += number
 
-    def count_by(self, read: Callable[[], Mapping[str, int]]) -> None:
-        """Show further counters in GET /metrics: those that `read` returns."""
+    def count_by(self, read: Callable[[], Mapping[str, int]], *, part: str = "") -> None:
+        """Show further counters in GET /metrics: those that `read` returns. `part`: under a name of their own."""
         own = self._counts
-        self._hub.counts.components[self._name] = lambda: {**own, **read()}
+        self._hub.counts.components[part or self._name] = read if part else lambda: {**own, **read()}
 
     def share(self, kind: str) -> Share:
         """Return a part of the one budget of bytes that strangers make the daemon keep: "queues", "calls", others."""
@@ -343,10 +396,18 @@ class Host:
         for participant in self._participants:
             participant.leave()
         self._participants.clear()
+        for robots in self._remote:
+            robots.close()
+        if self._here is not None:
+            self._here.close()
         if self._source is not None and self._hub.links.parameter_source is self._source:
             self.answer_parameters(None)
         if self._has_clock:
             self.set_clock(None)
+
+
+async def _raise(error: Exception) -> None:
+    raise error
 
 
 def _unreached(endpoints: Iterable[CommandEndpoint]) -> tuple[str, ...]:

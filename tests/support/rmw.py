@@ -10,6 +10,7 @@ import struct
 import sys
 import time
 from asyncio.subprocess import PIPE
+from collections import Counter
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -20,6 +21,7 @@ import zenoh.ext
 
 from hostlink.components.zenoh.rmw_bridge import RmwBridge, ros2_bridged
 from hostlink.components.zenoh.session import ZenohSession, opened
+from hostlink.core.components import hosted
 from hostlink.core.config import Config, LinkConfig, ZenohConfig
 from tests.support.daemon import Daemon, daemon
 from tests.support.fork_server import Child, Program, shared, start
@@ -52,8 +54,9 @@ async def bridged(**settings: Any) -> AsyncIterator[Bridged]:
     )
     async with (
         daemon(Config(link=LinkConfig(silence_timeout_s=None, idle_timeout_s=None))) as running,
-        opened(zenoh_config, running.hub.isolation) as session,
-        ros2_bridged(running.hub, session, zenoh_config) as bridge,
+        opened(zenoh_config, running.hub.isolation.around) as session,
+        hosted(running.hub, "zenoh", Counter()) as host,
+        ros2_bridged(host, session, zenoh_config) as bridge,
     ):
         yield Bridged(running, session, bridge, address)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from hostlink.core.config import Config, ZenohConfig
-from hostlink.core.hub.robot import RemoteRobot
+from hostlink.core.hub.remote_robot import RemoteRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import answered
 from tests.support.process import free_port
@@ -35,7 +35,15 @@ async def fleet(*names: str, config: Config | None = None, **settings: Any) -> A
         for number, name in enumerate(names):
             own = replace(config, zenoh=zenoh(name, ports[number], *ports[:number], **settings))
             hosts.append(await stack.enter_async_context(daemon(own)))
+        for host in hosts:
+            await has_met(host, len(hosts) - 1)
         yield hosts
+
+
+async def has_met(host: Daemon, others: int) -> None:
+    """Wait until the daemon is a part of the fleet, and has heard as many others."""
+    counts = host.hub.counts.components
+    await expect(lambda: "fleet" in counts and counts["fleet"]().get("met", 0) >= others)
 
 
 async def shown(host: Daemon, name: str) -> RemoteRobot:
@@ -73,4 +81,5 @@ async def joined(port: int, name: str, **settings: Any) -> AsyncIterator[Daemon]
     """One more daemon, which connects to that port."""
     own = Config(zenoh=zenoh(name, free_port(), port, **settings))
     async with daemon(own) as host:
+        await has_met(host, 0)
         yield host

@@ -14,7 +14,7 @@ import msgspec
 
 from hostlink.components.zenoh.fleet_messages import FleetAnswer, Lock, Sender, Stop, StopRequest, Unlock
 from hostlink.components.zenoh.roster import FleetRoster
-from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.host import CommandEndpoint
 from hostlink.core.runtime.logs import printable
 
 ANSWER_TIMEOUT_S = 0.5  # as long as a command lasts

@@ -30,6 +30,7 @@ from hostlink.components.zenoh.fleet_messages import (
 )
 from hostlink.components.zenoh.roster import SILENT_S, FleetRoster
 from hostlink.components.zenoh.session import ZenohSample, ZenohSession
+from hostlink.core.components import hosted
 from hostlink.core.config import Config, ZenohConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.robot import AnyRobot, LocalRobot
@@ -38,6 +39,7 @@ from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkError, RefusalKind
 from tests.support.background import meanwhile
 from tests.support.fake_device import CATALOG, topic
+from tests.support.hosts import host_in
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import (
     NEIGHBOUR,
@@ -72,7 +74,8 @@ class World:
             self.desk_session = MemorySession(self.network, zid)
             session = cast("ZenohSession", self.desk_session)
             config = ZenohConfig(name=name, drivers=drivers)
-            await self.stack.enter_async_context(fleet_running(hub, session, config))
+            host = await self.stack.enter_async_context(hosted(hub, "zenoh", Counter()))
+            await self.stack.enter_async_context(fleet_running(host, session, config))
         await asyncio.sleep(2.0)  # the second state of a robot has its topics
         self.program = self.desk.join("client 3")
 
@@ -360,7 +363,7 @@ class Requests:
 
         self.roster = FleetRoster(self.counts)
         transport = FleetTransport(cast("ZenohSession", Answers()), self.keys, self.here, self.counts, drivers)
-        self.drivers = FleetDrivers(scene.hub, transport, self.roster)
+        self.drivers = FleetDrivers(host_in(scene.hub, "fleet"), transport, self.roster)
         self.roster.appear(self.desk, now_s())
 
     def hear(self) -> None:

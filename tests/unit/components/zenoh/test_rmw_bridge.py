@@ -29,6 +29,7 @@ from hostlink.components.zenoh.session import Declaration, Query, ZenohSample, Z
 from hostlink.core.hub.message import Message
 from hostlink.core.mirror.inbox import MAX_SOURCES
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import working_host
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
 from tests.support.virtual_loop import run_virtual
@@ -67,7 +68,7 @@ class World:
         self._numbers = 0
         session = cast("ZenohSession", MemorySession(self.network, "ff"))
         token = NodeToken(0, "ff", 0, "/", "hostlink_lab", OWN_ENCLAVE)
-        self.bridge = RmwBridge(scene.hub, session, TYPES, token)
+        self.bridge = RmwBridge(working_host(scene.hub, "zenoh"), session, TYPES, token)
         self.counts = self.bridge.counts
 
     def own(self, kind: TokenKind) -> dict[str, EndpointToken]:

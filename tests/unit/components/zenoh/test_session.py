@@ -167,7 +167,7 @@ class FakeQuery:
 def with_session(test: Callable[[ZenohSession, FakeZenoh], Awaitable[None]]) -> None:
     async def run() -> None:
         zenoh = FakeZenoh()
-        await test(ZenohSession(zenoh, zenoh, Isolation(reraises=True)), zenoh)
+        await test(ZenohSession(zenoh, zenoh, Isolation(reraises=True).around), zenoh)
 
     run_virtual(run())
 
@@ -389,7 +389,7 @@ def test_opened_session_is_closed_at_the_end_of_its_block(monkeypatch: pytest.Mo
     monkeypatch.setattr(module, "reach_of", lambda *_: ("loopback",))
 
     async def run(config: ZenohConfig) -> None:
-        async with opened(config, Isolation(reraises=True)) as session:
+        async with opened(config, Isolation(reraises=True).around) as session:
             assert (session.zid, zenoh.settings, zenoh.is_closed) == ("1a", "settings", False)
         assert zenoh.is_closed
 

@@ -84,18 +84,18 @@ async def test_topic_of_another_type_is_refused_and_logged_and_the_others_are_of
 
 @inside(in_hub)
 async def test_reconnection_with_the_same_epoch_resumes_and_with_another_one_interrupts(made: MemoryHub) -> None:
-    robot, numbers = remote_robot(made.hub, "robot_7", RecordingHosts()), made.hub.robots.new_number
-    robot.connect(12, 100, numbers)
+    robot = remote_robot(made.hub, "robot_7", RecordingHosts())
+    robot.connect(12, 100)
     first = robot.link.number
     assert (robot.link.own_number, robot.resumed_link) == (12, first)
     epoch = robot.admission.epoch
-    robot.connect(12, 100, numbers)
+    robot.connect(12, 100)
     assert robot.link.number == first
-    robot.connect(None, None, numbers)
+    robot.connect(None, None)
     assert robot.link is None
-    robot.connect(13, 100, numbers)
+    robot.connect(13, 100)
     assert robot.admission.epoch == epoch
-    robot.connect(14, 99, numbers)  # the other daemon may have restarted
+    robot.connect(14, 99)  # the other daemon may have restarted
     assert robot.admission.epoch > epoch
     assert robot.link.number > first
 
@@ -103,7 +103,7 @@ async def test_reconnection_with_the_same_epoch_resumes_and_with_another_one_int
 @inside(in_hub)
 async def test_state_older_than_an_answer_interrupts_nothing(made: MemoryHub) -> None:
     robot = remote_robot(made.hub, "robot_7", RecordingHosts())
-    robot.connect(12, 100, made.hub.robots.new_number)
+    robot.connect(12, 100)
     robot.note_epoch(105, lock_reason=None)
     epoch = robot.admission.epoch
     for older in (103, 105, None):
@@ -140,7 +140,7 @@ async def test_new_poses_call_the_followers_and_known_ones_do_not(made: MemoryHu
 async def test_reason_for_unknown_motion_names_what_is_missing(made: MemoryHub) -> None:
     robot = remote_robot(made.hub, "robot_7", RecordingHosts())
     assert robot.why_unknown() == "its device is not connected"
-    robot.connect(12, 100, made.hub.robots.new_number)
+    robot.connect(12, 100)
     assert robot.why_unknown() == "it sends no odometry"
     robot.update(msgspec.structs.replace(robot.known, odometry=SNAPSHOT), epoch=100)
     assert robot.why_unknown() == "no odometry of it has come from other since the stop"
