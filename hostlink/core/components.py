@@ -123,7 +123,11 @@ async def hosted(hub: Hub, name: str, counts: Counter[str]) -> AsyncIterator[Hos
             spawned = set[asyncio.Task[object]]()
 
             def spawn(work: Coroutine[Any, Any, object], part: str) -> None:
-                task = tasks.create_task(work, name=f"{name}: {part}")
+                try:
+                    task = tasks.create_task(work, name=f"{name}: {part}")
+                except RuntimeError:  # the run ends, or has ended: the work would be cancelled before its first turn
+                    work.close()
+                    return
                 spawned.add(task)
                 task.add_done_callback(spawned.discard)
                 task.add_done_callback(lambda _: work.close())  # it may be cancelled before its first turn

@@ -38,7 +38,7 @@ from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.state import RobotState
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.loop_time import loop_time_s
-from hostlink.errors import HostlinkError
+from hostlink.errors import BadRequest, HostlinkError
 
 __all__ = [
     "API_VERSION", "MAX_ADVERTISED", "CommandEndpoint", "Component", "EventKind", "Graph", "GraphService", "GraphTopic",
@@ -106,6 +106,7 @@ class Host:
         self._watcher: Participant | None = None  # for what is read without a participant
         self._source: ParameterSource | None = None
         self._has_clock = False
+        self._has_ended = False
         self._remote: list[RemoteRobots] = []
         self._here: RobotsHere | None = None
         self.came_s = hub.gates.came_s  # earliest time at which what is read at a time may have arrived
@@ -252,7 +253,12 @@ class Host:
         at a stick has 60. `group`: of a bridge to another graph: its participants do not receive what the group sends.
         `on_end` is called when a failure of one of its callbacks ends it. The participant leaves by
         `leave`, and with the run: the robots that it drives stop.
+
+        Raises:
+            BadRequest: the run has ended.
         """
+        if self._has_ended:
+            raise BadRequest(f"{name}: the run of {self._name} has ended")
         participant = Participant(self._hub, name, role=role, priority=priority, group=group, on_end=on_end)
         if len(self._participants) >= self._most:
             self._participants = [each for each in self._participants if not each.has_left]
@@ -311,12 +317,7 @@ class Host:
         """
 
         def fail(error: Exception) -> None:
-            work = _raise(error)
-            try:
-                self._spawn(work, "provider of robots")
-            except RuntimeError:  # the run is ending
-                work.close()
-                self.crashed("component", error, component=self._name)
+            self._spawn(_raise(error), "provider of robots")
 
         robots = RemoteRobots(
             self._hub.robots, self._hub.gates, self._hub.topics, Provision(provider, self._name, fail)
@@ -393,6 +394,7 @@ class Host:
 
     def close(self) -> None:
         """End everything that the run took. Called by the daemon."""
+        self._has_ended = True
         for participant in self._participants:
             participant.leave()
         self._participants.clear()

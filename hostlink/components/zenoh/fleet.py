@@ -317,14 +317,13 @@ class Fleet:
     def end(self) -> None:
         """Leave the fleet: the robots of others are unknown, and what others drive here stops."""
         self._has_ended = True
-        self._remote.close()
-        self._states.end()  # before the token is withdrawn
-        for declaration in (*self._declarations, self._tokens):
-            declaration.close()
-        self._topics.end()
-        self._robots.end()
-        self._states.close()
+        declarations = [each.close for each in (*self._declarations, self._tokens)]
         self._drivers.leave_all()
+        with contextlib.ExitStack() as steps:  # each, whatever the one before raises; the last one first
+            for step in (self._states.close, self._robots.end, self._topics.end, *reversed(declarations)):
+                steps.callback(step)
+            steps.callback(self._states.end)  # before the token is withdrawn
+            steps.callback(self._remote.close)
 
     def _subscribe(
         self, keys: str, receive: Callable[[ZenohSample], None], max_bytes: int, max_waiting: int

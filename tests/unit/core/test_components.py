@@ -18,9 +18,19 @@ from hostlink.core.components import LONGEST_PAUSE_S, STEADY_S, chosen_component
 from hostlink.core.config import Config
 from hostlink.core.host import MANY, Component, Host, PlanarVelocity, RobotEvent, Role
 from hostlink.core.protocol.endpoint import EndpointKind
-from hostlink.errors import CommandRefused, ConfigError, DeviceGone, FrameTooLarge, HostlinkError, NoRole, UnknownTopic
+from hostlink.errors import (
+    BadRequest,
+    CommandRefused,
+    ConfigError,
+    DeviceGone,
+    FrameTooLarge,
+    HostlinkError,
+    NoRole,
+    UnknownTopic,
+)
 from tests.support.fake_device import topic
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
+from tests.support.remote_robots import RecordingHosts
 from tests.support.virtual_loop import inside
 from tests.support.waiting import expect
 
@@ -193,6 +203,32 @@ async def test_failure_of_spawned_work_or_of_a_callback_is_a_failure_of_the_comp
     async with supervised(made, kind):
         await asyncio.sleep(0.1)
         assert "spawned" in made.hub.diagnoses.own["driver"].detail
+
+
+@inside(in_hub)
+async def test_ended_run_joins_nothing_and_runs_nothing_more(made: MemoryHub) -> None:
+    """What a component has not withdrawn, such as a callback of a library, may still call it."""
+
+    async def keep(host: Host) -> None:
+        host.announce_robots(RecordingHosts())
+        raise OSError("lost")
+
+    async def work() -> None:
+        raise AssertionError("it runs")
+
+    kind = driver_of(keep, drive_for_ever)
+    async with supervised(made, kind):
+        await asyncio.sleep(0.1)
+        ended = kind.hosts[0]
+        with pytest.raises(BadRequest, match="arm: the run of driver has ended"):
+            ended.join("arm")
+        with pytest.raises(BadRequest, match="the run of driver has ended"):
+            ended.observe(lambda _: None)
+        ended.spawn(work(), name="late")
+        await asyncio.sleep(0.1)
+        assert made.hub.isolation.crashes == {}
+        made.hub.robots.stop_all()
+        assert await made.hub.gates.settled() == []
 
 
 @inside(in_hub)

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import functools
+import itertools
 import json
 import math
 import re
@@ -30,8 +31,9 @@ from hostlink.components.zenoh.fleet_messages import (
 )
 from hostlink.components.zenoh.roster import SILENT_S, FleetRoster
 from hostlink.components.zenoh.session import ZenohSample, ZenohSession
-from hostlink.core.components import hosted
+from hostlink.core.components import hosted, supervise
 from hostlink.core.config import Config, ZenohConfig
+from hostlink.core.host import Component, Host
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.robot import AnyRobot, LocalRobot
 from hostlink.core.protocol.endpoint import EndpointKind
@@ -600,6 +602,42 @@ def test_stop_of_a_host_out_of_sight_is_an_error_and_in_force_when_it_is_seen_ag
     with_fleet(test)
 
 
+ORDERS: dict[str, Callable[[World], object]] = {
+    "stop of all": lambda world: world.desk.robots.stop_all(),
+    "stop by name": lambda world: world.robot().stop(),
+    "lock of all": lambda world: world.desk.robots.lock_all("crossing"),
+    "lock by name": lambda world: world.robot().lock("crossing"),
+}
+
+
+@pytest.mark.parametrize("way_s", [0.2, 0.8])
+@pytest.mark.parametrize("order", ORDERS)
+def test_order_over_a_slow_network_is_in_force_when_it_arrives_and_an_error_if_that_is_late(
+    order: str, way_s: float
+) -> None:
+    async def test(world: World) -> None:
+        sent = world.desk_session.put
+
+        def put(key: str, payload: bytes, **options: Any) -> None:
+            asyncio.get_running_loop().call_later(way_s, functools.partial(sent, key, payload, **options))
+
+        async with driven_at_lab(world) as there:
+            world.desk_session.put = put  # type: ignore[method-assign]
+            ORDERS[order](world)
+            with (
+                pytest.raises(DeviceGone, match="lab: has not answered the")
+                if way_s > 0.5
+                else contextlib.nullcontext()
+            ):
+                await world.desk.gates.settled()
+            await asyncio.sleep(1.0)
+            assert world.scene.speeds()[-1] == 0.0
+            assert there.gate.lock_reason == ("crossing (desk)" if "lock" in order else None)
+            world.scene.hub.robots.unlock_all()
+
+    with_fleet(test)
+
+
 @pytest.mark.slow
 @inside(with_fleet)
 async def test_lock_of_a_host_out_of_sight_is_shown_refuses_and_is_in_force_when_it_is_seen_again(world: World) -> None:
@@ -935,3 +973,146 @@ async def test_second_daemon_of_a_name_is_told(world: World) -> None:
         await asyncio.sleep(0.1)
     found = [line for line in logs if line["event"] == "fleet.duplicate_host_found"]
     assert [line["host"] for line in found] == ["lab", "lab"]  # at lab, and at desk
+
+
+# -- a failure of the component ---------------------------------------------------------------------------------------
+
+
+class Failing(Component[ZenohConfig]):
+    """The fleet over a network in memory, which fails when a test says so."""
+
+    name = "zenoh"
+    settings_type = ZenohConfig
+
+    def __init__(self, settings: ZenohConfig, session: MemorySession, failure: "asyncio.Queue[Exception]") -> None:
+        super().__init__(settings)
+        self.session, self.failure = session, failure
+
+    async def run(self, host: Host) -> None:
+        async with fleet_running(host, cast("ZenohSession", self.session), self.settings):
+            raise await self.failure.get()
+
+
+class Supervised(World):
+    """Both daemons with supervised components, each of which a test can let fail."""
+
+    async def begin(self, drivers: tuple[str, ...]) -> None:
+        self.running = self.scene.tasks.create_task(self.desk.run())
+        await self.desk.is_running.wait()
+        self.sessions: dict[str, MemorySession] = {}
+        self.failures: dict[str, asyncio.Queue[Exception]] = {}
+        self.components = [self._start(*each, drivers) for each in ((self.scene.hub, "lab"), (self.desk, "desk"))]
+        await asyncio.sleep(2.0)
+        self.program = self.desk.join("client 3")
+
+    def _start(self, hub: Hub, name: str, drivers: tuple[str, ...]) -> "asyncio.Task[None]":
+        failure = self.failures[name] = asyncio.Queue()
+        numbers = itertools.count(1)
+
+        def make() -> Failing:
+            session = self.sessions[name] = MemorySession(self.network, f"{next(numbers)}{name}")
+            return Failing(ZenohConfig(name=name, drivers=drivers), session, failure)
+
+        return self.scene.tasks.create_task(supervise(hub, "zenoh", make))
+
+    def fail(self, name: str, error: Exception) -> None:
+        """Let the component of a daemon fail."""
+        self.failures[name].put_nowait(error)
+
+    async def end(self) -> None:
+        self.program.leave()
+        for each in self.components:
+            each.cancel()
+        await asyncio.sleep(0.1)
+        assert self.desk.robots.remote == {}
+        self.scene.hub.isolation.crashes.pop("component", None)  # the failure of the test
+        self.running.cancel()
+
+    @contextlib.asynccontextmanager
+    async def streaming(self, refusals: list[HostlinkError]) -> AsyncIterator[None]:
+        """A program at the desk drives the robot of the lab, and goes on whatever it hears."""
+
+        async def stream() -> None:
+            while True:
+                try:
+                    robot = self.desk.robots.find(ROBOT, driver=lambda: self.program)
+                    self.program.drive(robot, DRIVE)
+                except HostlinkError as error:
+                    refusals.append(error)
+                await asyncio.sleep(0.1)
+
+        async with meanwhile(stream()):
+            await asyncio.sleep(1.0)
+            assert (self.scene.speeds()[-1], refusals) == (0.2, [])
+            yield
+
+
+def with_failures(test: Callable[[Supervised], Awaitable[None]]) -> None:
+    async def run(scene: Scene) -> None:
+        world = Supervised(scene)
+        await world.begin(("*",))
+        try:
+            await test(world)
+        finally:
+            await world.end()
+
+    play(run)
+
+
+@pytest.mark.parametrize("is_mute", [False, True], ids=["in order", "mute"])
+@pytest.mark.parametrize("failing", ["lab", "desk"])
+def test_failure_of_the_fleet_at_either_end_stops_the_robot_and_its_next_start_does_not_move_it(
+    failing: str, *, is_mute: bool
+) -> None:
+    """`mute`: nothing that the component says at its end is heard, and what it calls fails."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("a bug of the session")
+
+    async def test(world: Supervised) -> None:
+        refusals = list[HostlinkError]()
+        async with world.streaming(refusals):
+            world.fail(failing, ValueError("a bug"))
+            if is_mute:
+                world.sessions[failing].put = refuse  # type: ignore[method-assign]
+            await asyncio.sleep(0.05)
+            if failing == "lab" or not is_mute:
+                assert world.scene.speeds()[-1] == 0.0
+            else:  # its daemon cannot know it before the lease ends
+                await asyncio.sleep(0.5)
+                assert world.scene.speeds()[-1] == 0.0
+            assert failing == "lab" or world.desk.robots.remote == {}
+            count = len(world.scene.speeds())
+            await asyncio.sleep(8.0)  # it is started again; the program has let nothing go
+            assert not any(world.scene.speeds()[count:])
+            assert world.robot().link is not None
+        await world.drive(ZERO)
+        assert (await world.drive()).x_m_s == 0.2
+        assert refusals
+
+    with_failures(test)
+
+
+@inside(with_failures)
+async def test_bug_in_an_order_ends_the_run_is_told_to_its_caller_and_stops_what_is_here(world: Supervised) -> None:
+    device = ScriptedDevice(world.desk, robot_topics("robot_9"), address="10.0.0.9")
+    await asyncio.sleep(0.5)
+    here = world.desk.robots.find("robot_9")
+    world.program.drive(here, DRIVE)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("a bug of the session")
+
+    world.sessions["desk"].put = refuse  # type: ignore[method-assign]
+    world.desk.robots.stop_all()
+    with pytest.raises(DeviceGone, match=r"zenoh: the component has failed: .*a bug of the session"):
+        await world.desk.gates.settled()
+    await asyncio.sleep(0.5)
+    assert world.desk.robots.find_here("robot_9").gate.current.is_zero
+    assert [each.code for each in world.desk.diagnoses.own.values()] == ["component_failed"]
+    assert world.desk.robots.remote == {}
+    await asyncio.sleep(4.0)
+    assert world.robot().link is not None
+    world.desk.robots.stop_all()
+    assert await world.desk.gates.settled() == []
+    await device.aclose()
