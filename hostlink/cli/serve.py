@@ -98,8 +98,6 @@ async def running(
     if config.ros1.master:
         ros1 = importlib.import_module("hostlink.components.ros1.node").Ros1
         own["ros1"] = lambda: ros1(config.ros1, on_graph_end)
-    if config.zenoh is not None:
-        own["zenoh"] = importlib.import_module("hostlink.components.zenoh.running").loaded(config.zenoh)
     async with core.running(
         config, guard=guard, around=parts, own=own, on_listening=on_listening, listening=listening
     ) as (hub, devices):

@@ -53,6 +53,7 @@ MANY = 16
 
 log = structlog.get_logger()
 Settings = TypeVar("Settings")
+Kept = TypeVar("Kept")
 
 
 class Stopped(NamedTuple):
@@ -97,9 +98,14 @@ class Host:
     """Interface of one run of a component. All that the run takes by it ends with the run: its robots stop."""
 
     def __init__(
-        self, hub: Hub, name: str, spawn: Callable[[Coroutine[Any, Any, object], str], None], counts: Counter[str]
+        self,
+        hub: Hub,
+        name: str,
+        spawn: Callable[[Coroutine[Any, Any, object], str], None],
+        counts: Counter[str],
+        kept: dict[str, Any] | None = None,
     ) -> None:
-        """`spawn` runs work as long as the component. `counts`: the component's counters, of all its runs."""
+        """`spawn` runs work as long as the component. `counts` and `kept` are of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
         self._participants: list[Participant] = []  # with some that have left
         self._most = MANY  # of them, before those that have left are removed
@@ -107,6 +113,7 @@ class Host:
         self._source: ParameterSource | None = None
         self._has_clock = False
         self._has_ended = False
+        self._kept = {} if kept is None else kept
         self._remote: list[RemoteRobots] = []
         self._here: RobotsHere | None = None
         self.came_s = hub.gates.came_s  # earliest time at which what is read at a time may have arrived
@@ -371,6 +378,13 @@ class Host:
         """Show further counters in GET /metrics: those that `read` returns. `part`: under a name of their own."""
         own = self._counts
         self._hub.counts.components[part or self._name] = read if part else lambda: {**own, **read()}
+
+    def kept(self, what: str, make: Callable[[], Kept]) -> Kept:
+        """Return what an earlier run of the component has left by this name. `make` makes it for the first one."""
+        if what not in self._kept:
+            self._kept[what] = make()
+        found: Kept = self._kept[what]
+        return found
 
     def share(self, kind: str) -> Share:
         """Return a part of the one budget of bytes that strangers make the daemon keep: "queues", "calls", others."""

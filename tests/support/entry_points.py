@@ -44,8 +44,9 @@ from hostlink.components.zenoh.rmw_protocol import (
     gid_of,
 )
 from hostlink.components.zenoh.session import ZenohSession
+from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.components import hosted
-from hostlink.core.config import Config, ZenohConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
 from hostlink.core.hub.robot_topic_publisher import twist_topic
@@ -591,7 +592,7 @@ class FleetSender(EntryPoint):
         for hub, name, zid in ((self.made.hub, "lab", "1a"), (self.hub, "desk", "2b")):
             session = cast("ZenohSession", MemorySession(network, zid))
             host = await self._stack.enter_async_context(hosted(hub, "zenoh", Counter()))
-            await self._stack.enter_async_context(fleet_running(host, session, ZenohConfig(name=name)))
+            await self._stack.enter_async_context(fleet_running(host, session, ZenohSettings(name=name)))
         await asyncio.sleep(2.0)  # the second state of a robot has its topics
         self.participant = self.hub.join("client 3")
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import socket
 from collections import Counter, OrderedDict
 from collections.abc import AsyncIterator, Callable, Iterable
@@ -29,10 +30,11 @@ from hostlink.components.zenoh.fleet_messages import (
     is_shareable,
     message_of,
 )
+from hostlink.components.zenoh.fleet_orders import FleetOrders
 from hostlink.components.zenoh.fleet_topics import MAX_MESSAGE_BYTES, FleetTopics, note_failure
 from hostlink.components.zenoh.roster import FleetRoster, Neighbour, Place
 from hostlink.components.zenoh.session import Declaration, Token, ZenohSample, ZenohSession
-from hostlink.core.config import ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.host import Host, RemoteRobot, RemoteRobots
 from hostlink.core.mirror.inbox import SLICE_S
 from hostlink.core.mirror.mirror import Mirror
@@ -265,20 +267,36 @@ _UNHEARD = "Robots there are shown as last seen; a stop or a lock is in force th
 FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have been dropped
 
 
+class FleetMemory:
+    """What outlives a failure of the fleet here: the other daemons, and what they have not obeyed yet."""
+
+    def __init__(self, forget_after_s: float) -> None:
+        self.counts: Counter[str] = Counter()
+        self.roster = FleetRoster(self.counts, forget_after_s=forget_after_s)
+        self.orders = FleetOrders(self.roster)
+        self.numbers = itertools.count(1)  # of requests
+
+    def end(self, now_s: float) -> None:
+        """Note that nothing is heard from now on."""
+        self.orders.end()
+        self.roster.leave_all(now_s)
+
+
 class Fleet:
     """Membership of this daemon in the fleet."""
 
-    def __init__(self, host: Host, session: ZenohSession, config: ZenohConfig) -> None:
+    def __init__(self, host: Host, session: ZenohSession, config: ZenohSettings) -> None:
         """Reach the other daemons from now on: a stop here is one there."""
-        counts: Counter[str] = Counter()
+        memory = self._memory = host.kept("fleet", lambda: FleetMemory(host.forget_after_s))
+        counts = memory.counts
         host.count_by(lambda: counts, part="fleet")
         me, keys = Sender(config.name or sender_name(socket.gethostname()), session.zid), Keys(config.fleet_name)
         self._host = host
         self._transport = FleetTransport(session, keys, me, counts, config.drivers, lambda: host.slept_s)
-        self._roster = FleetRoster(counts, forget_after_s=host.forget_after_s)
+        self._roster = memory.roster
         self._states = FleetStates(host, self._transport)
         self._drivers = FleetDrivers(host, self._transport, self._roster)
-        self._requests = FleetRequests(self._transport, self._roster)
+        self._requests = FleetRequests(self._transport, self._roster, memory.orders, memory.numbers)
         self._remote = host.announce_robots(self._requests)
         self._topics = FleetTopics(host, self._transport, self._remote, self._drivers, self._roster)
         self._robots = FleetRobots(host, self._transport, self._remote, self._roster, self._requests, self._topics)
@@ -306,6 +324,7 @@ class Fleet:
         ]
         self._find_daemons(loop_time_s())
         self._topics.begin()
+        self._robots.apply_soon(self._roster.names())  # of an earlier run
 
     async def run(self) -> None:
         """Send states, and watch the others, until `end`."""
@@ -322,6 +341,7 @@ class Fleet:
         with contextlib.ExitStack() as steps:  # each, whatever the one before raises; the last one first
             for step in (self._states.close, self._robots.end, self._topics.end, *reversed(declarations)):
                 steps.callback(step)
+            steps.callback(lambda: self._memory.end(loop_time_s()))
             steps.callback(self._states.end)  # before the token is withdrawn
             steps.callback(self._remote.close)
 
@@ -454,7 +474,7 @@ class Fleet:
 
 
 @contextlib.asynccontextmanager
-async def fleet_running(host: Host, session: ZenohSession, config: ZenohConfig) -> AsyncIterator[None]:
+async def fleet_running(host: Host, session: ZenohSession, config: ZenohSettings) -> AsyncIterator[None]:
     """A part of the fleet for the length of the block."""
     fleet = Fleet(host, session, config)
     try:

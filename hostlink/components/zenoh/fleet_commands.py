@@ -249,14 +249,15 @@ class _Command:
 class FleetRequests(RobotProvider):
     """Robots of other daemons. A command is sent to the daemon of the robot, a stop or a lock to all."""
 
-    def __init__(self, transport: FleetTransport, roster: FleetRoster) -> None:
-        self._transport, self._roster = transport, roster
-        self._numbers = itertools.count(1)
+    def __init__(
+        self, transport: FleetTransport, roster: FleetRoster, orders: FleetOrders, numbers: "itertools.count[int]"
+    ) -> None:
+        """`orders` may have some of an earlier run; their `numbers` are not used again."""
+        self._transport, self._roster, self._orders, self._numbers = transport, roster, orders, numbers
         self._owner_numbers = itertools.count(1)
         self._owners: dict[Hashable, int] = {}
         self._newest: dict[tuple[Hashable, str], _Command] = {}
         self._waiting: dict[int, _Command] = {}
-        self._orders = FleetOrders(roster)
         self.show: Callable[[Iterable[str]], None] = lambda _: None  # called with the robots whose lock has changed
 
     # -- RobotProvider ------------------------------------------------------------------------------------------------

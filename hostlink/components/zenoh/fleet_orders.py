@@ -107,6 +107,12 @@ class FleetOrders:
         """A daemon has appeared: repeat all orders eagerly."""
         self._eager_until_s = now_s + EAGER_S
 
+    def end(self) -> None:
+        """The fleet ends here, and may be started again: what was not answered is repeated then, except an unlock."""
+        self._orders = {number: each for number, each in self._orders.items() if not isinstance(each.request, Unlock)}
+        for each in self._orders.values():
+            each.is_overdue = True
+
     def fresh(self) -> list[Order]:
         """Return the orders for whose answers a caller waits."""
         return [each for each in self._orders.values() if not each.is_overdue]

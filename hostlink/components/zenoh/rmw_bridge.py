@@ -34,7 +34,7 @@ from hostlink.components.zenoh.rmw_protocol import (
     is_hidden,
 )
 from hostlink.components.zenoh.session import Declaration, Query, Token, ZenohSample, ZenohSession
-from hostlink.core.config import ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.host import GraphService, GraphTopic, Host, Message, Participant
 from hostlink.core.messages.message_type import ServiceType
 from hostlink.core.mirror.log_once import LogOnce
@@ -670,7 +670,7 @@ class RmwBridge:
 
 
 @contextlib.asynccontextmanager
-async def ros2_bridged(host: Host, session: ZenohSession, config: ZenohConfig) -> AsyncIterator[RmwBridge]:
+async def ros2_bridged(host: Host, session: ZenohSession, config: ZenohSettings) -> AsyncIterator[RmwBridge]:
     """Be a node of the ROS 2 graph for the length of the block.
 
     Raises:

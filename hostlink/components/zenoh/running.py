@@ -4,21 +4,37 @@ import asyncio
 import contextlib
 import importlib
 import importlib.util
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Iterable
 
 from hostlink.components.zenoh.fleet import fleet_running
 from hostlink.components.zenoh.session import opened
-from hostlink.components.zenoh.settings import library
-from hostlink.core.config import ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings, library, reach_of, settings_of, warnings_of
 from hostlink.core.host import Component, Host
 from hostlink.errors import LibraryMissing
 
 
-class Zenoh(Component[ZenohConfig]):
-    """The graphs that [zenoh] switches on."""
+class Zenoh(Component[ZenohSettings]):
+    """Graphs over Zenoh: the fleet, and ROS 2 by rmw_zenoh's protocol."""
 
     name = "zenoh"
-    settings_type = ZenohConfig
+    settings_type = ZenohSettings
+
+    def check(self) -> Iterable[str]:
+        """Check the settings, and import what a run needs: it would stop the event loop of a daemon that serves."""
+        library()
+        if self.settings.ros2:
+            for name in ("rosbags", "xxhash"):
+                if importlib.util.find_spec(name) is None:
+                    raise LibraryMissing("zenoh.ros2", name, "zenoh")
+            importlib.import_module("hostlink.components.zenoh.rmw_bridge")
+        return tuple(warnings_of(settings_of(self.settings), self.settings))
+
+    def describe(self) -> str:
+        """One line for --check-config: the graphs, and who can reach the session."""
+        zenoh = self.settings
+        parts = [f"the fleet {zenoh.fleet_name}"] * zenoh.fleet + [f"ROS 2, domain {zenoh.ros_domain_id}"] * zenoh.ros2
+        reach = reach_of(settings_of(zenoh), zenoh)
+        return "; ".join([f"Zenoh, a {zenoh.mode}: {' and '.join(parts) or 'nothing'}", *reach])
 
     async def run(self, host: Host) -> None:
         """Take part in them until cancelled."""
@@ -26,28 +42,12 @@ class Zenoh(Component[ZenohConfig]):
             await asyncio.Event().wait()
 
 
-def loaded(config: ZenohConfig) -> Callable[[], Zenoh]:
-    """Import all that a run needs, so that none stops the event loop for it. Return what makes the component of a run.
-
-    Raises:
-        LibraryMissing: eclipse-zenoh is not installed, or a library for ROS 2.
-    """
-    library()
-    if config.ros2:
-        try:
-            importlib.import_module("hostlink.components.zenoh.rmw_bridge")
-        except ImportError as error:
-            missing = "rosbags" if importlib.util.find_spec("rosbags") is None else "xxhash"
-            raise LibraryMissing("zenoh.ros2", missing, "zenoh") from error
-    return lambda: Zenoh(config)
-
-
 @contextlib.asynccontextmanager
-async def zenoh_running(host: Host, config: ZenohConfig) -> AsyncIterator[None]:
-    """The daemon's parts in graphs over Zenoh, for the length of the block. `loaded` has imported them.
+async def zenoh_running(host: Host, config: ZenohSettings) -> AsyncIterator[None]:
+    """The daemon's parts in graphs over Zenoh, for the length of the block.
 
     Raises:
-        ConfigError: Zenoh refuses the settings.
+        ConfigError: eclipse-zenoh is not installed, or Zenoh refuses the settings.
     """
     async with opened(config, host.around) as session, contextlib.AsyncExitStack() as parts:
         host.count_by(lambda: session.counts)

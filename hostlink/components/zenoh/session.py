@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import structlog
 
 from hostlink.components.zenoh.lingering import SWEEP_INTERVAL_S, end_lingering, shut_down
-from hostlink.components.zenoh.settings import library, reach_of, reason_of, settings_of
-from hostlink.core.config import ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings, library, reach_of, reason_of, settings_of
 from hostlink.core.mirror.inbox import MAX_WAITING, ThreadInbox
 from hostlink.core.runtime.logs import printable
 from hostlink.errors import ConfigError
@@ -395,7 +394,7 @@ def _declare_history_subscriber(session: Any, key: str, callback: Any, *, allowe
 
 
 @contextlib.asynccontextmanager
-async def opened(config: ZenohConfig, around: Around) -> AsyncIterator[ZenohSession]:
+async def opened(config: ZenohSettings, around: Around) -> AsyncIterator[ZenohSession]:
     """A session for the length of the block.
 
     Raises:

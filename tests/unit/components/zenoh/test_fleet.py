@@ -31,8 +31,9 @@ from hostlink.components.zenoh.fleet_messages import (
 )
 from hostlink.components.zenoh.roster import SILENT_S, FleetRoster
 from hostlink.components.zenoh.session import ZenohSample, ZenohSession
+from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.components import hosted, supervise
-from hostlink.core.config import Config, ZenohConfig
+from hostlink.core.config import Config
 from hostlink.core.host import Component, Host
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.robot import AnyRobot, LocalRobot
@@ -75,7 +76,7 @@ class World:
         for hub, name, zid in ((self.scene.hub, "lab", "1a"), (self.desk, "desk", "2b")):
             self.desk_session = MemorySession(self.network, zid)
             session = cast("ZenohSession", self.desk_session)
-            config = ZenohConfig(name=name, drivers=drivers)
+            config = ZenohSettings(name=name, drivers=drivers)
             host = await self.stack.enter_async_context(hosted(hub, "zenoh", Counter()))
             await self.stack.enter_async_context(fleet_running(host, session, config))
         await asyncio.sleep(2.0)  # the second state of a robot has its topics
@@ -148,7 +149,7 @@ async def test_each_of_two_commands_that_are_sent_at_once_has_its_own_answer(wor
 @inside(with_fleet)
 async def test_commands_are_answered_in_order_while_their_daemon_becomes_known(world: World) -> None:
     """Three commands arrive before its token was read, and one between the token and their delivery."""
-    wall, keys, answers = MemorySession(world.network, "3c"), Keys(ZenohConfig().fleet_name), list[int]()
+    wall, keys, answers = MemorySession(world.network, "3c"), Keys(ZenohSettings().fleet_name), list[int]()
     here, there = Sender("lab", "1a"), Sender("wall", "3c")
 
     def drive(number: int) -> None:
@@ -905,7 +906,7 @@ async def test_program_whose_computer_has_slept_drives_robots_of_other_hosts(wor
 
     world.desk_session.put = put_later  # type: ignore[method-assign]
     world.slept_s = 60.0
-    world.network.note_token(Keys(ZenohConfig().fleet_name).key("alive", Sender("desk", "2b")), is_alive=True)
+    world.network.note_token(Keys(ZenohSettings().fleet_name).key("alive", Sender("desk", "2b")), is_alive=True)
     await asyncio.sleep(1.5)
     assert (await world.drive()).x_m_s == 0.2
 
@@ -969,7 +970,7 @@ async def test_stop_that_is_repeated_is_answered_and_obeyed_once(scene: Scene) -
 @inside(with_fleet)
 async def test_second_daemon_of_a_name_is_told(world: World) -> None:
     with capture_logs() as logs:
-        world.network.note_token(Keys(ZenohConfig().fleet_name).key("alive", Sender("lab", "4d")), is_alive=True)
+        world.network.note_token(Keys(ZenohSettings().fleet_name).key("alive", Sender("lab", "4d")), is_alive=True)
         await asyncio.sleep(0.1)
     found = [line for line in logs if line["event"] == "fleet.duplicate_host_found"]
     assert [line["host"] for line in found] == ["lab", "lab"]  # at lab, and at desk
@@ -978,13 +979,13 @@ async def test_second_daemon_of_a_name_is_told(world: World) -> None:
 # -- a failure of the component ---------------------------------------------------------------------------------------
 
 
-class Failing(Component[ZenohConfig]):
+class Failing(Component[ZenohSettings]):
     """The fleet over a network in memory, which fails when a test says so."""
 
     name = "zenoh"
-    settings_type = ZenohConfig
+    settings_type = ZenohSettings
 
-    def __init__(self, settings: ZenohConfig, session: MemorySession, failure: "asyncio.Queue[Exception]") -> None:
+    def __init__(self, settings: ZenohSettings, session: MemorySession, failure: "asyncio.Queue[Exception]") -> None:
         super().__init__(settings)
         self.session, self.failure = session, failure
 
@@ -1011,7 +1012,7 @@ class Supervised(World):
 
         def make() -> Failing:
             session = self.sessions[name] = MemorySession(self.network, f"{next(numbers)}{name}")
-            return Failing(ZenohConfig(name=name, drivers=drivers), session, failure)
+            return Failing(ZenohSettings(name=name, drivers=drivers), session, failure)
 
         return self.scene.tasks.create_task(supervise(hub, "zenoh", make))
 
@@ -1091,6 +1092,44 @@ def test_failure_of_the_fleet_at_either_end_stops_the_robot_and_its_next_start_d
         assert refusals
 
     with_failures(test)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_order_that_was_not_obeyed_when_the_fleet_failed_is_in_force_after_its_next_start(order: str) -> None:
+    async def test(world: Supervised) -> None:
+        async with driven_at_lab(world) as there:
+            world.network.deaf.add("1lab")
+            ORDERS[order](world)
+            with pytest.raises(DeviceGone, match="lab: has not answered the"):
+                await world.desk.gates.settled()
+            world.fail("desk", ValueError("a bug"))
+            await asyncio.sleep(2.0)
+            assert world.scene.speeds()[-1] == 0.2
+            shown = world.robot().state(now_s()).lock_reason
+            assert shown == ("crossing (desk)" if "lock" in order else None)
+            world.network.deaf.clear()
+            await asyncio.sleep(3.0)
+            assert world.scene.speeds()[-1] == 0.0
+            assert there.gate.lock_reason == ("crossing (desk)" if "lock" in order else None)
+            assert await world.desk.gates.settled() == []
+            world.scene.hub.robots.unlock_all()
+
+    with_failures(test)
+
+
+@inside(with_failures)
+async def test_unlock_that_was_not_answered_when_the_fleet_failed_is_not_repeated(world: Supervised) -> None:
+    here = world.scene.hub.robots.find(ROBOT)
+    here.lock("smoke")
+    await asyncio.sleep(0.1)
+    world.network.deaf.add("1lab")
+    world.robot().unlock()
+    world.fail("desk", ValueError("a bug"))
+    await asyncio.sleep(2.0)
+    world.network.deaf.clear()
+    await asyncio.sleep(3.0)
+    assert here.gate.lock_reason == "smoke"
+    here.unlock()
 
 
 @inside(with_failures)
