@@ -116,7 +116,8 @@ async def _run_once(hub: Hub, name: str, make: Make, counts: Counter[str], kept:
 async def hosted(hub: Hub, name: str, counts: Counter[str], kept: dict[str, Any] | None = None) -> AsyncIterator[Host]:
     """Make a host for the length of a block. What the block has spawned ends with it; then all that it took does.
 
-    An error of the block, or of what it has spawned, is raised in an exception group. `kept` is for the next block.
+    An error of the block, or of what it has spawned, is raised in an exception group. `kept`: for the block
+    that follows.
     """
     with contextlib.ExitStack() as leaving:
         async with asyncio.TaskGroup() as tasks:
@@ -133,7 +134,7 @@ async def hosted(hub: Hub, name: str, counts: Counter[str], kept: dict[str, Any]
                 task.add_done_callback(lambda _: work.close())  # it may be cancelled before its first turn
 
             host = Host(hub, name, spawn, counts, kept)
-            leaving.callback(host.close)
+            leaving.callback(host.close, is_resumed=kept is not None)
             try:
                 yield host
             finally:

@@ -406,14 +406,14 @@ class Host:
         """Say what is wrong with the component, as `hostlink doctor` shows it; empty: it works."""
         self._hub.diagnoses.observe_own(self._name, "component_troubled" if problem else "", problem)
 
-    def close(self) -> None:
-        """End everything that the run took. Called by the daemon."""
+    def close(self, *, is_resumed: bool = False) -> None:
+        """End everything that the run took. Called by the daemon. `is_resumed`: another run follows."""
         self._has_ended = True
         for participant in self._participants:
             participant.leave()
         self._participants.clear()
         for robots in self._remote:
-            robots.close()
+            robots.close(is_resumed=is_resumed)
         if self._here is not None:
             self._here.close()
         if self._source is not None and self._hub.links.parameter_source is self._source:

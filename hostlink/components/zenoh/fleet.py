@@ -343,7 +343,7 @@ class Fleet:
                 steps.callback(step)
             steps.callback(lambda: self._memory.end(loop_time_s()))
             steps.callback(self._states.end)  # before the token is withdrawn
-            steps.callback(self._remote.close)
+            steps.callback(self._remote.withdraw_all)
 
     def _subscribe(
         self, keys: str, receive: Callable[[ZenohSample], None], max_bytes: int, max_waiting: int

@@ -19,7 +19,8 @@ class RobotProvider(ABC):
     """Robots that are held elsewhere, by other daemons or programs, as a component reaches them.
 
     Methods that are not coroutines do not wait. Only those that say so raise errors. Another exception, of any method,
-    ends the run of the component.
+    ends the run of the component. Until its next run, `stop`, `lock`, `unlock_all` and `settled` are still called: what
+    they were asked can be kept for that run (`Host.kept`).
     """
 
     @abstractmethod
@@ -84,11 +85,15 @@ class RobotProvider(ABC):
 
 
 class Provision:
-    """One provider, and its failure: nothing is reached by it from then on, and its component ends."""
+    """One provider, and its failure: nothing is reached by it from then on, and its component ends.
+
+    `has_ended`: the run has ended, and the next one has not begun. An order is an error for who gives it.
+    """
 
     def __init__(self, provider: RobotProvider, name: str, on_failure: Callable[[Exception], None]) -> None:
         """`name` is that of its component, for texts. `on_failure` is called once."""
         self.name = name
+        self.has_ended = False
         self._provider, self._on_failure = provider, on_failure
         self._failure = ""
 
@@ -166,6 +171,8 @@ class Provision:
         except Exception as error:
             raise self._fail(error) from error
         self._check()
+        if self.has_ended:
+            raise DeviceGone(self.name, "the component has failed, and does not run yet; its robots are not reached")
         return found
 
     def _check(self) -> None:
@@ -186,7 +193,9 @@ class Providers:
         self._all: dict[Provision, None] = {}
 
     def add(self, provision: Provision) -> None:
-        """Reach a provider from now on."""
+        """Reach a provider from now on. It replaces one of an earlier run of its component."""
+        for each in [each for each in self._all if each.has_ended and each.name == provision.name]:
+            self.remove(each)
         self._all[provision] = None
 
     def remove(self, provision: Provision) -> None:
@@ -196,7 +205,8 @@ class Providers:
     def release(self, owner: Hashable) -> None:
         """Report that a source of commands has left."""
         for each in tuple(self._all):
-            each.order(lambda provider: provider.release(owner))
+            if not each.has_ended:
+                each.order(lambda provider: provider.release(owner))
 
     def stop(self, name: str | None) -> None:
         """Stop the robots of this name; None: every robot and board."""

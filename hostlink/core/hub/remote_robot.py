@@ -334,6 +334,7 @@ class RemoteRobots:
         """Reach the provider from now on."""
         self._robots, self._gates, self._graph, self._provision = robots, gates, graph, provision
         self._has_ended = False
+        self._has_lost = False  # robots that it announced until the end
         gates.providers.add(provision)
 
     def announce(self, known: RobotState, *, host: str, place: Hashable = "") -> RemoteRobot:
@@ -382,10 +383,21 @@ class RemoteRobots:
         if self.get(name) is not None:
             self._robots.pop_remote(name)
 
-    def close(self) -> None:
-        """Withdraw all robots, after their drivers here; the provider is not reached again."""
-        self._has_ended = True
+    def withdraw_all(self) -> None:
+        """Announce no robot any longer. What a source here drives is released."""
         for robot in self.all():
+            self._has_lost = True
             robot.release_driver()
             self._robots.pop_remote(robot.name)
-        self._gates.providers.remove(self._provision)
+
+    def close(self, *, is_resumed: bool) -> None:
+        """Withdraw all robots; the provider is not reached again. Called by the daemon at the end of the run.
+
+        `is_resumed`: another run follows. Until then a stop or a lock of all is an error, if there was a robot.
+        """
+        self._has_ended = True
+        self.withdraw_all()
+        if is_resumed and self._has_lost:
+            self._provision.has_ended = True
+        else:
+            self._gates.providers.remove(self._provision)

@@ -1117,6 +1117,26 @@ def test_order_that_was_not_obeyed_when_the_fleet_failed_is_in_force_after_its_n
     with_failures(test)
 
 
+@pytest.mark.parametrize("order", ["stop of all", "lock of all"])
+def test_order_between_two_runs_of_the_fleet_is_an_error_and_in_force_after_the_next_start(order: str) -> None:
+    async def test(world: Supervised) -> None:
+        async with driven_at_lab(world) as there:
+            world.fail("desk", ValueError("a bug"))
+            await asyncio.sleep(0.1)
+            assert world.desk.robots.all() == []
+            ORDERS[order](world)
+            with pytest.raises(DeviceGone, match="lab: has not answered the"):
+                await world.desk.gates.settled()
+            await asyncio.sleep(4.0)
+            assert world.scene.speeds()[-1] == 0.0
+            assert there.gate.lock_reason == ("crossing (desk)" if "lock" in order else None)
+            world.desk.robots.stop_all()
+            assert await world.desk.gates.settled() == []
+            world.scene.hub.robots.unlock_all()
+
+    with_failures(test)
+
+
 @inside(with_failures)
 async def test_unlock_that_was_not_answered_when_the_fleet_failed_is_not_repeated(world: Supervised) -> None:
     here = world.scene.hub.robots.find(ROBOT)
