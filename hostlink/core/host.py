@@ -313,10 +313,10 @@ class Host:
         self._hub.links.wall_ns = time.time_ns if wall_ns is None else wall_ns
         self._has_clock = wall_ns is not None
 
-    # -- robots that are held elsewhere, and other daemons that use those here ----------------------------------------
+    # -- robots of other hosts, and other daemons that use those here ----------------------------------------
 
     def announce_robots(self, provider: RobotProvider) -> RemoteRobots:
-        """Reach robots that are held elsewhere by a provider, until the run ends. The result announces each of them.
+        """Reach robots of other hosts by a provider, until the run ends. The result announces each of them.
 
         A stop, a lock and an unlock of all reach the provider at once, and those of a robot by its name. Users see the
         robots as those that are here. Commands for them pass the same rules, before the provider sends them. A failure
@@ -339,8 +339,8 @@ class Host:
             self._here = RobotsHere(self._hub.robots)
         return self._here
 
-    def is_elsewhere(self, robot: str) -> bool:
-        """Whether the robot of this name, as `robots` shows it, is held elsewhere."""
+    def is_remote(self, robot: str) -> bool:
+        """Whether the robot of this name, as `robots` shows it, is of another host."""
         remote = self._hub.robots.remote.get(robot)
         return remote is not None and self._hub.robots.find(robot) is remote
 

@@ -1,4 +1,4 @@
-"""Robots that are held elsewhere, without their holders."""
+"""Robots of other hosts, without these hosts."""
 
 from collections.abc import Awaitable, Hashable
 from typing import Any

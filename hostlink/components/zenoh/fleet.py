@@ -268,7 +268,7 @@ FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have 
 
 
 class FleetMemory:
-    """What outlives a failure of the fleet here: the other daemons, and what they have not obeyed yet."""
+    """State for the next run of the fleet: other daemons, and the stops and locks that they have not obeyed."""
 
     def __init__(self, forget_after_s: float) -> None:
         self.counts: Counter[str] = Counter()
@@ -338,7 +338,7 @@ class Fleet:
         self._has_ended = True
         declarations = [each.close for each in (*self._declarations, self._tokens)]
         self._drivers.leave_all()
-        with contextlib.ExitStack() as steps:  # each, whatever the one before raises; the last one first
+        with contextlib.ExitStack() as steps:  # each is taken, also after a failure; the last one first
             for step in (self._states.close, self._robots.end, self._topics.end, *reversed(declarations)):
                 steps.callback(step)
             steps.callback(lambda: self._memory.end(loop_time_s()))

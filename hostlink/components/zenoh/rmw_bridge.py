@@ -653,7 +653,7 @@ class RmwBridge:
 
     def _is_shown(self, name: str, refused: str) -> bool:
         """Whether a name can exist in ROS 2, else `refused` is logged; another daemon shows those of its robots."""
-        if is_hidden(name) or self._node.host.is_elsewhere(name.split("/")[1]):
+        if is_hidden(name) or self._node.host.is_remote(name.split("/")[1]):
             return False
         if not is_ros2_name(name):
             self._log_once(refused, name=name, reason=REFUSED_NAME)

@@ -278,7 +278,7 @@ class Gates:
         """
         self.events = RobotEvents() if events is None else events
         self.is_closed = False  # the daemon ends and accepts no commands
-        self.providers = Providers()  # of robots that are held elsewhere
+        self.providers = Providers()  # of robots of other hosts
         self._isolation, self._guardian = isolation, guard
         self._driven = set[int]()  # links of the last beat to the guardian
         self._admissions: Counter[Admission] = Counter()  # registrations of all robots and attached drivables

@@ -1,4 +1,4 @@
-"""RobotProvider: interface of a component to robots that are held elsewhere. Providers reaches all of them."""
+"""RobotProvider: interface of a component to robots of other hosts. Providers reaches all of them."""
 
 import asyncio
 from abc import ABC, abstractmethod
@@ -16,7 +16,7 @@ SETTLE_TIMEOUT_S = 2.0  # for the answers to a stop; the zeros of robots here we
 
 
 class RobotProvider(ABC):
-    """Robots that are held elsewhere, by other daemons or programs, as a component reaches them.
+    """Robots of other hosts, which are other daemons or programs, as a component reaches them.
 
     Methods that are not coroutines do not wait. Only those that say so raise errors. Another exception, of any method,
     ends the run of the component. Until its next run, `stop`, `lock`, `unlock_all` and `settled` are still called: what
@@ -38,7 +38,7 @@ class RobotProvider(ABC):
         """Send a command of a source, which lasts for a lease from `received_s` on.
 
         Raises:
-            HostlinkError: the robot's holder is not reached, or has refused the previous command of this source.
+            HostlinkError: the robot's host is not reached, or has refused the previous command of this source.
         """
 
     @abstractmethod
@@ -66,7 +66,7 @@ class RobotProvider(ABC):
         """Admit commands of a robot again.
 
         Raises:
-            DeviceGone: its holder is not reached.
+            DeviceGone: its host is not reached.
         """
 
     @abstractmethod
@@ -80,7 +80,7 @@ class RobotProvider(ABC):
         Return the endpoints there that command a motion and are not a robot's.
 
         Raises:
-            DeviceGone: one was not answered, or was refused. The error names the holder.
+            DeviceGone: one was not answered, or was refused. The error names the host.
         """
 
 

@@ -35,14 +35,14 @@ MAX_REMOTE = 4096  # robots of all components
 
 
 class RemoteLink(NamedTuple):
-    """Connection of a device that is held elsewhere. `number` is of this daemon, `own_number` of its holder."""
+    """Connection of a device of another host. `number` is of this daemon, `own_number` of its host."""
 
     number: int
     own_number: int
 
 
 class RemoteOdometry:
-    """Newest pose of a robot that is held elsewhere."""
+    """Newest pose of a robot of another host."""
 
     def __init__(self) -> None:
         self.read_at_s = -math.inf
@@ -51,7 +51,7 @@ class RemoteOdometry:
         self._at_s = 0.0
 
     def withdraw(self) -> None:
-        """Drop the newest pose: the robot's holder has dropped it, too."""
+        """Drop the newest pose: the robot's host has dropped it, too."""
         self._newest = None
 
     def update(self, newest: OdometrySnapshot, now_s: float) -> bool:
@@ -70,7 +70,7 @@ class RemoteOdometry:
 
 
 class RemoteRobot(AnyRobot):
-    """Robot that another daemon or program holds. Its gate and its lease are there; its holder describes its state.
+    """Robot of another host, a daemon or a program, which has its gate and its lease, and describes its state.
 
     Messages on its velocity topics here are commands, as for a robot of this daemon. The admission here decides about
     commands from here, before its provider sends them. Its component updates it.
@@ -90,7 +90,7 @@ class RemoteRobot(AnyRobot):
         graph: TopicGraph,
         new_number: Callable[[], int],
     ) -> None:
-        """`known` is its state, and has its name. `host` names its holder; `place` identifies it: names may repeat."""
+        """`known` is its state, and has its name. `host` names its host; `place` identifies it: names may repeat."""
         self.name, self.known, self.host, self.place, self.provision = known.name, known, host, place, provision
         self.also_at = ()  # if any, it is not driven from here
         self.resumed_link = 0
@@ -98,7 +98,7 @@ class RemoteRobot(AnyRobot):
         self.followers: dict[Hashable, Follow] = {}
         self.admission = Admission(self.name, epoch=secrets.randbits(EPOCH_BITS), sees_bunches=False)
         self._gates, self._graph, self._new_number = gates, graph, new_number
-        self._epoch: int | None = None  # of its holder's admission
+        self._epoch: int | None = None  # of its host's admission
         self._node = Node(f"{self.name} at {host}")  # key of the subscriptions to its velocity topics
         self._velocities: frozenset[tuple[str, str]] = frozenset()
         self._has_left = False
@@ -119,11 +119,11 @@ class RemoteRobot(AnyRobot):
         )
 
     def command(self, command: Command[PlanarVelocity]) -> PlanarVelocity:
-        """Send a command to the robot's holder if it is admitted here. Return the sent velocity.
+        """Send a command to the robot's host if it is admitted here. Return the sent velocity.
 
         Raises:
             CommandRefused: the command is not admitted, or the previous one of this source was refused.
-            DeviceGone: several robots have this name, or the robot's holder does not answer.
+            DeviceGone: several robots have this name, or the robot's host does not answer.
             FrameTooLarge, WrongType: the answer to the previous command of this source.
         """
         now_s = loop_time_s()
@@ -148,15 +148,15 @@ class RemoteRobot(AnyRobot):
         return command.velocity
 
     def answer(self, owner: Hashable) -> Awaitable[PlanarVelocity]:
-        """Return its holder's answer to the newest command of a source."""
+        """Return its host's answer to the newest command of a source."""
         return self.provision.answer(self, owner)
 
     def limited_by(self, velocity: PlanarVelocity) -> None:  # noqa: ARG002 - used by LocalRobot
-        """Return None: the limits are at the robot's holder."""
+        """Return None: the limits are at the robot's host."""
         return
 
     def stop(self, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
-        """Stop the robots of this name that are held elsewhere.
+        """Stop the robots of this name at other hosts.
 
         Raises:
             DeviceGone: its component announces it no longer.
@@ -165,7 +165,7 @@ class RemoteRobot(AnyRobot):
         self._gates.providers.stop(self.name)
 
     def lock(self, reason: str = LOCK_REASON, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
-        """Lock the robots of this name that are held elsewhere.
+        """Lock the robots of this name at other hosts.
 
         Raises:
             DeviceGone: its component announces it no longer.
@@ -177,7 +177,7 @@ class RemoteRobot(AnyRobot):
         """Unlock the robot.
 
         Raises:
-            DeviceGone: several robots have this name, or its holder is not reached.
+            DeviceGone: several robots have this name, or its host is not reached.
         """
         self._check_unique()
         self.provision.unlock(self)
@@ -210,9 +210,9 @@ class RemoteRobot(AnyRobot):
         return bool(self.followers) or loop_time_s() < self.odometry.read_at_s + within_s
 
     def update(self, known: RobotState, *, epoch: int | None) -> None:
-        """Set the state from the robot's holder. An interruption there is one here.
+        """Set the state from the robot's host. An interruption there is one here.
 
-        `epoch` is None if the holder has no epochs.
+        `epoch` is None if the host has no epochs.
         """
         self.known = known
         self.admission.lease_s = known.lease_s
@@ -224,7 +224,7 @@ class RemoteRobot(AnyRobot):
                 follow(None)
 
     def note_epoch(self, epoch: int | None, *, lock_reason: str | None) -> None:
-        """Note epoch and lock of its holder's admission."""
+        """Note epoch and lock of its host's admission."""
         admission, now_s = self.admission, loop_time_s()
         if lock_reason is not None and admission.lock_reason != lock_reason:
             admission.lock(lock_reason, now_s)
@@ -236,15 +236,15 @@ class RemoteRobot(AnyRobot):
             self._epoch = epoch if self._epoch is None else max(epoch, self._epoch)
 
     def note_answer(self, owner: Hashable, epoch: int | None, *, is_refused: bool) -> None:
-        """Note its holder's answer to a command of a source. A refused source keeps the robot from no driver here."""
+        """Note its host's answer to a command of a source. A refused source keeps the robot from no driver here."""
         self.note_epoch(epoch, lock_reason=self.admission.lock_reason)
         if is_refused:
             self.admission.end_drives(owner)
 
     def connect(self, own_number: int | None, epoch: int | None) -> None:
-        """Set the number of its device's connection at its holder; None if it has none.
+        """Set the number of its device's connection at its host; None if it has none.
 
-        The holder decides whether a reconnection is an interruption: then its `epoch` differs.
+        The host decides whether a reconnection is an interruption: then its `epoch` differs.
         """
         if own_number is None:
             if self.link is not None:
@@ -256,7 +256,7 @@ class RemoteRobot(AnyRobot):
             self.admission.resume_after_reconnect_s = math.inf if is_resumed else 0.0
             if self.admission.connect(loop_time_s()):
                 self.resumed_link = self.link.number
-            self._epoch = epoch  # also if it is lower: the holder may have restarted
+            self._epoch = epoch  # also if it is lower: the host may have restarted
 
     def offer(self, velocities: Iterable[tuple[str, str]]) -> None:
         """Subscribe to these velocity topics, by name and type, while no device here has them."""
@@ -289,7 +289,7 @@ class RemoteRobot(AnyRobot):
     # -- its end ------------------------------------------------------------------------------------------------------
 
     def release_driver(self) -> None:
-        """Tell its holder that the source here that drives it has left: it stops."""
+        """Tell its host that the source here that drives it has left: it stops."""
         lease = self.admission.driver("", loop_time_s())
         if lease is not None:
             source = lease.source
@@ -319,7 +319,7 @@ class RemoteRobot(AnyRobot):
         """Refuse a request that could mean either of two robots, or one that is not announced any longer.
 
         Raises:
-            DeviceGone: several holders have a robot of this name, or none has.
+            DeviceGone: several hosts have a robot of this name, or none has.
         """
         self._check_there()
         if self.also_at:
@@ -340,7 +340,7 @@ class RemoteRobots:
     def announce(self, known: RobotState, *, host: str, place: Hashable = "") -> RemoteRobot:
         """Announce a robot, which is not connected yet. Its name is that of `known`.
 
-        An earlier robot of this name is replaced: its drivers go on. `host` names its holder, as users see it.
+        An earlier robot of this name is replaced: its drivers still drive it. `host` names its host, as users see it.
 
         Raises:
             BadRequest: the run has ended, the name is invalid, another component announces it, or there are too many.

@@ -27,14 +27,14 @@ class RobotHere(NamedTuple):
 
 
 class RobotsHere:
-    """Robots and boards of this daemon. No call reaches one that a component announces, so that none goes in a circle.
+    """Robots and boards of this daemon. No call reaches a robot that a component announces, in a circle of daemons.
 
     Methods are synchronous. `by` is who asks, for texts.
     """
 
     def __init__(self, robots: "Robots") -> None:
         self._robots = robots
-        self._noted: set[str] = set()  # robots with other holders
+        self._noted: set[str] = set()  # robots with other hosts
 
     def all(self) -> list[RobotHere]:
         """Return the robots by name, connected or not yet forgotten."""
@@ -121,7 +121,7 @@ class RobotsHere:
             self._robots.find_here(name).unlock(by=by)
 
     def endpoints(self, name: str | None) -> list[CommandEndpoint]:
-        """Return what was stopped or locked and is not a robot's: beside a robot, or everywhere.
+        """Return the endpoints that command a motion and are not a robot's: those of a robot's devices; None: all.
 
         Raises:
             UnknownTopic: there is none of this name.
@@ -134,7 +134,7 @@ class RobotsHere:
         return self._robots.boards.lock_reason
 
     def note_others(self, name: str, hosts: tuple[str, ...]) -> None:
-        """Note the other holders of a robot of this name: a stop or a lock of it reaches them, too.
+        """Note the other hosts of a robot of this name: a stop or a lock of it reaches them, too.
 
         Programs here drive the robot that is here, and programs of other daemons neither. Nothing is noted of a robot
         that is not here.
@@ -145,7 +145,7 @@ class RobotsHere:
             (self._noted.add if hosts else self._noted.discard)(name)
 
     def close(self) -> None:
-        """Forget the other holders."""
+        """Forget the other hosts."""
         for name in tuple(self._noted):
             self.note_others(name, ())
 

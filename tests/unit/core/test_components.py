@@ -245,7 +245,7 @@ async def test_stop_of_all_between_two_runs_is_an_error_if_the_component_had_rob
 
 @inside(in_hub)
 async def test_ended_run_joins_nothing_and_runs_nothing_more(made: MemoryHub) -> None:
-    """What a component has not withdrawn, such as a callback of a library, may still call it."""
+    """A callback of a library that the component has not withdrawn may still call it."""
 
     async def keep(host: Host) -> None:
         host.announce_robots(RecordingHosts())

@@ -1031,7 +1031,7 @@ class Supervised(World):
 
     @contextlib.asynccontextmanager
     async def streaming(self, refusals: list[HostlinkError]) -> AsyncIterator[None]:
-        """A program at the desk drives the robot of the lab, and goes on whatever it hears."""
+        """A program at the desk drives the robot of the lab, and ignores refusals."""
 
         async def stream() -> None:
             while True:

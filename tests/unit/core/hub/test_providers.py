@@ -1,4 +1,4 @@
-"""Providers of robots that are held elsewhere: what they raise, or never return, delays no stop of a robot here."""
+"""Providers of robots of other hosts: what they raise, or never return, delays no stop of a robot here."""
 
 import asyncio
 import contextlib

@@ -189,7 +189,7 @@ async def test_run_announces_robots_by_valid_names_that_no_other_component_has(
 
 
 @inside(in_hub)
-async def test_driver_of_a_robot_that_moves_to_another_holder_goes_on(made: MemoryHub) -> None:
+async def test_driver_of_a_robot_that_moves_to_another_host_still_drives_it(made: MemoryHub) -> None:
     robots = host_in(made.hub).announce_robots(RecordingHosts())
     first = robots.announce(known("robot_7"), host="lab", place="1a")
     first.connect(12, 100)

@@ -69,7 +69,7 @@ async def test_no_request_of_another_daemon_reaches_a_robot_of_a_third_one(made:
 
 
 @inside(in_hub)
-async def test_robot_with_other_holders_is_driven_from_here_alone_until_they_are_forgotten(made: MemoryHub) -> None:
+async def test_robot_with_other_hosts_is_driven_from_here_alone_until_they_are_forgotten(made: MemoryHub) -> None:
     host, pad = joined(made)
     hosts = RecordingHosts()
     reach(made.hub, hosts)
