@@ -9,8 +9,9 @@ import inspect
 import json
 import re
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import aiohttp
@@ -19,6 +20,8 @@ import typer
 import hostlink.client
 from hostlink.cli.main import PANELS, build_app
 from hostlink.cli.serve import running
+from hostlink.components.mqtt import settings as mqtt
+from hostlink.components.zenoh import settings as zenoh
 from hostlink.core import config
 from hostlink.core.runtime import logs
 
@@ -177,9 +180,16 @@ def client() -> Iterator[str]:
 def settings() -> Iterator[str]:
     """Every setting, as config.py has it."""
     yield f"# Every setting\n\nOf `hostlink.toml`: {page('configuration')}. The types are Python's; `None`: left out.\n"
-    lines = inspect.getsource(config).splitlines()
+    yield from tables(config, sections)
+    yield from tables(mqtt, lambda _: [("`[mqtt]`", "MqttSettings")])
+    yield from tables(zenoh, lambda _: [("`[zenoh]`", "ZenohSettings")])
+
+
+def tables(module: ModuleType, chosen: Callable[[dict[str, ast.ClassDef]], Iterable[tuple[str, str]]]) -> Iterator[str]:
+    """Yield the tables of the file that a module has, by name and class, as `chosen` returns them."""
+    lines = inspect.getsource(module).splitlines()
     classes = {each.name: each for each in ast.parse("\n".join(lines)).body if isinstance(each, ast.ClassDef)}
-    for section, name in sections(classes):
+    for section, name in chosen(classes):
         yield f"## {section}\n\n{cell(ast.get_docstring(classes[name]) or '')}\n"
         yield "| setting | type | default | |\n|---|---|---|---|"
         for each in assigned(classes[name]):

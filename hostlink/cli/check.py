@@ -6,7 +6,6 @@ such as a port that another program uses, is a warning.
 
 import dataclasses
 import errno
-import importlib.util
 import math
 import operator
 import re
@@ -20,7 +19,7 @@ from hostlink.components.gateway.access import Access, is_loopback, tls_context
 from hostlink.components.gateway.listener import KEPT_FOR_REQUESTS
 from hostlink.components.recorder.folder import default_folder
 from hostlink.core.components import chosen_components
-from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_place
+from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, is_place
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.parameters import to_parameter
 from hostlink.core.hub.robot import check_command, drive_in, encoders_lack, frames_of, lacking
@@ -34,7 +33,7 @@ from hostlink.core.runtime.folders import owner_of
 from hostlink.core.runtime.listening import close_all, spelled
 from hostlink.core.transport.serial import find_port
 from hostlink.core.transport.udp import serve_udp
-from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
+from hostlink.errors import ConfigError, HostlinkError
 
 # -- descriptors ------------------------------------------------------------------------------------------------------
 
@@ -110,12 +109,6 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     TcpAcceptor(hub, config.tcp)  # the key
     Access(config.api)
     tls_context(config.api)
-    if config.zenoh is not None and importlib.util.find_spec("zenoh") is None:
-        raise LibraryMissing("zenoh", "eclipse-zenoh", "zenoh")
-    if config.zenoh is not None and config.zenoh.ros2:
-        for library in ("rosbags", "xxhash"):
-            if importlib.util.find_spec(library) is None:
-                raise LibraryMissing("zenoh.ros2", library, "zenoh")
     warnings = [] if is_listening else await _try_port("tcp", config.tcp.host, config.tcp.port)
     warnings += await _try_port("api", config.api.host, config.api.port)
     if config.udp is not None:
@@ -148,8 +141,6 @@ def describe(config: Config) -> list[str]:
         lines.append(f"node {node} of the ROS 1 master at {config.ros1.master}")
     for name, robot in config.robots.items():
         lines.append(f"robot {name}, {robot.address or ' and '.join(robot.devices or ()) or 'known by its topics'}")
-    if config.zenoh is not None:
-        lines.append(_describe_zenoh(config.zenoh))
     lines += [kind(settings).describe() for _, kind, settings in chosen_components(config)]
     lines += [f"messages in {folder}" for folder in config.message_folders]
     return [*lines, quantity(len(config.parameters), "parameter")]
@@ -160,14 +151,6 @@ def _describe_who(config: TcpConfig | UdpConfig) -> str:
     if config.key_file is None:
         return who
     return f"{who}, with the key" + (f" but {', '.join(config.keyless)}" if config.keyless else "")
-
-
-def _describe_zenoh(zenoh: ZenohConfig) -> str:
-    from hostlink.components.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
-
-    parts = [f"the fleet {zenoh.fleet_name}"] * zenoh.fleet + [f"ROS 2, domain {zenoh.ros_domain_id}"] * zenoh.ros2
-    reach = reach_of(settings_of(zenoh), zenoh)
-    return "; ".join([f"Zenoh, a {zenoh.mode}: {' and '.join(parts) or 'nothing'}", *reach])
 
 
 def _describe_port(port: SerialConfig) -> str:
@@ -248,10 +231,6 @@ def _suspicious(config: Config) -> Iterator[str]:
     if (owner := owner_of(folder)) is not None:
         advice = "this daemon keeps no recordings, incidents and drives until that one ends; set another folder"
         yield f"recording.folder {folder} belongs to {owner}: {advice}"
-    if config.zenoh is not None:
-        from hostlink.components.zenoh.settings import settings_of, warnings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
-
-        yield from warnings_of(settings_of(config.zenoh), config.zenoh)
     for name, part in {"tcp": config.tcp, "udp": config.udp}.items():
         if part is not None and part.keyless and part.key_file is None:
             yield f"{name}.keyless has no effect without {name}.key_file, because no device needs a key"

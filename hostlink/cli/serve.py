@@ -72,7 +72,6 @@ async def running(
             complaints_logged(),
             kept_names(hub.links, names_file(config)),
             _recordings(hub) as recordings,
-            _graphs(hub, config),
             _api(hub, config, recordings) as api,
         ):
             with reload_signal(hub.reloader):
@@ -120,16 +119,6 @@ async def _api(hub: Hub, config: Config, recordings: Recordings) -> AsyncIterato
     with hosted_part(hub, "gateway") as host:
         async with serve_api(host, config, recordings) as address:
             yield address
-
-
-@contextlib.asynccontextmanager
-async def _graphs(hub: Hub, config: Config) -> AsyncIterator[None]:
-    """Connect to the graphs of Zenoh that are configured; its modules are not imported otherwise."""
-    async with contextlib.AsyncExitStack() as graphs:
-        if config.zenoh is not None:
-            module = importlib.import_module("hostlink.components.zenoh.running")
-            await graphs.enter_async_context(module.zenoh_running(hub, config.zenoh))
-        yield
 
 
 def run(

@@ -20,7 +20,7 @@ from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.settings import load
 from hostlink.cli.start import import_fast
-from hostlink.core.config import ApiConfig, Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig
+from hostlink.core.config import ApiConfig, Config, Ros1Config, TcpConfig, UdpConfig
 from hostlink.core.runtime.listening import listen as listen_at
 from hostlink.errors import ConfigError, LibraryMissing
 
@@ -107,8 +107,8 @@ def command(
             load(file) if file else Config(), listen=listen, udp=udp, serial=serial, api=api, messages=messages
         )
         settings = allow_origins(settings, origin)
-        if zenoh and settings.zenoh is None:
-            settings = dataclasses.replace(settings, zenoh=ZenohConfig())
+        if zenoh:
+            settings = dataclasses.replace(settings, components=settings.components | {"zenoh": True})
         if ros1 is not None:
             settings = dataclasses.replace(settings, ros1=with_master(settings.ros1, "--ros1", ros1))
         return settings

@@ -80,12 +80,12 @@ def _entry_points() -> Mapping[str, Any]:
 
 async def supervise(hub: Hub, name: str, make: Make) -> None:
     """Run a component until cancelled. When it fails, its robots are stopped, and it is run again after a pause."""
-    counts = Counter[str]()
+    counts, kept = Counter[str](), dict[str, Any]()
     hub.counts.components[name] = lambda: counts
     pause_s = FIRST_PAUSE_S
     while True:
         began_s = loop_time_s()
-        reason = await _run_once(hub, name, make, counts)
+        reason = await _run_once(hub, name, make, counts, kept)
         counts["failures"] += 1
         if loop_time_s() >= began_s + STEADY_S:
             pause_s = FIRST_PAUSE_S
@@ -96,11 +96,11 @@ async def supervise(hub: Hub, name: str, make: Make) -> None:
         pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
 
-async def _run_once(hub: Hub, name: str, make: Make, counts: Counter[str]) -> str:
+async def _run_once(hub: Hub, name: str, make: Make, counts: Counter[str], kept: dict[str, Any]) -> str:
     """Run a component to its end. Return why it ended."""
     error: BaseException | None = None
     try:
-        async with hosted(hub, name, counts) as host:
+        async with hosted(hub, name, counts, kept) as host:
             await make().run(host)
     except* Exception as group:  # noqa: BLE001 - a component of another package may raise anything
         error = first_error(group)
@@ -123,23 +123,28 @@ def hosted_part(hub: Hub, name: str) -> Iterator[Host]:
 
 
 @contextlib.asynccontextmanager
-async def hosted(hub: Hub, name: str, counts: Counter[str]) -> AsyncIterator[Host]:
+async def hosted(hub: Hub, name: str, counts: Counter[str], kept: dict[str, Any] | None = None) -> AsyncIterator[Host]:
     """Make a host for the length of a block. What the block has spawned ends with it; then all that it took does.
 
-    An error of the block, or of what it has spawned, is raised in an exception group.
+    An error of the block, or of what it has spawned, is raised in an exception group. `kept`: for the block
+    that follows.
     """
     with contextlib.ExitStack() as leaving:
         async with asyncio.TaskGroup() as tasks:
             spawned = set[asyncio.Task[object]]()
 
             def spawn(work: Coroutine[Any, Any, object], part: str) -> None:
-                task = tasks.create_task(work, name=f"{name}: {part}")
+                try:
+                    task = tasks.create_task(work, name=f"{name}: {part}")
+                except RuntimeError:  # the run ends, or has ended: the work would be cancelled before its first turn
+                    work.close()
+                    return
                 spawned.add(task)
                 task.add_done_callback(spawned.discard)
                 task.add_done_callback(lambda _: work.close())  # it may be cancelled before its first turn
 
-            host = Host(hub, name, spawn, counts)
-            leaving.callback(host.close)
+            host = Host(hub, name, spawn, counts, kept)
+            leaving.callback(host.close, is_resumed=kept is not None)
             try:
                 yield host
             finally:

@@ -25,8 +25,6 @@ MAX_PORT = 0xFFFF
 MAX_FILE_BYTES = 64 * 1024 * 1024  # 20,000 robots need two; a device file such as /dev/zero is endless
 MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
 
-MAX_ROS_DOMAIN_ID = 232
-ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # part of a Zenoh key
 
 _OF_TABLES = "component_settings"  # field of `Config`, not a key of the file
 
@@ -574,44 +572,6 @@ class BlackBoxConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ZenohConfig:
-    """Zenoh session of the daemon, for the fleet and for ROS 2 over rmw_zenoh's protocol."""
-
-    fleet: bool = True  # share robots with other daemons: show and drive theirs, and offer one's own
-    ros2: bool = False  # join a ROS 2 graph whose nodes use rmw_zenoh
-    ros_domain_id: int = 0
-    ros_distribution: Literal["humble", "iron", "jazzy", "kilted", "lyrical"] = "kilted"  # distribution of those nodes
-    name: str = ""  # name of this daemon in the fleet; empty: the computer's name
-    fleet_name: str = "hostlink"  # first part of every key; daemons with another name form another fleet
-    drivers: tuple[str, ...] = ("*",)  # daemons whose programs may drive this daemon's robots; others may read and stop
-    mode: Literal["peer", "client", "router"] = "peer"
-    connect: tuple[str, ...] = ()  # "tls/10.0.0.2:7447"; without `ca` peers in the local network also find each other
-    # "tls/0.0.0.0:7447"; empty: with `ca` not at all, otherwise a free port on every address.
-    listen: tuple[str, ...] = ()
-    multicast: bool | None = None  # discovery in the local network, never with `ca`; None: only without `ca`
-    gossip: bool | None = None  # connect to daemons that neighbours announce; None: only without `ca`
-    ca: Path | None = None  # PEM; with `certificate` and `key`: only mutual TLS
-    certificate: Path | None = None
-    key: Path | None = None
-    file: Path | None = None  # JSON5 configuration of Zenoh for all other settings: access rules, leases
-
-    def __post_init__(self) -> None:
-        for setting, name in (("name", self.name), ("fleet_name", self.fleet_name)):
-            if name and not re.fullmatch(ZENOH_NAME, name):
-                raise ValueError(f"zenoh.{setting} {name!r} must be made of letters, digits, _, - and .")
-        if (self.certificate is None) != (self.key is None):
-            raise ValueError("set zenoh.certificate and zenoh.key together")
-        if self.certificate is not None and self.ca is None:
-            raise ValueError(
-                "zenoh.certificate needs zenoh.ca; without it other daemons are not asked for a certificate"
-            )
-        if not 0 <= self.ros_domain_id <= MAX_ROS_DOMAIN_ID:
-            raise ValueError(f"zenoh.ros_domain_id must be 0 to {MAX_ROS_DOMAIN_ID}")
-        if not self.fleet_name:
-            raise ValueError("zenoh.fleet_name must not be empty")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
     """All settings of hostlink.toml."""
 
@@ -626,7 +586,6 @@ class Config:
     message_folders: tuple[Path, ...] = ()
     recording: RecordingConfig = field(default_factory=RecordingConfig)
     black_box: BlackBoxConfig = field(default_factory=BlackBoxConfig)
-    zenoh: ZenohConfig | None = None  # None: Zenoh is not used and not imported
     guardian: bool = True  # run a second process that stops the robots when the daemon died or hangs
     components: dict[str, bool] = field(default_factory=dict)  # whether each component runs: docs/components.md
     component_settings: dict[str, Any] = field(default_factory=dict)  # by name, of the tables that the file has

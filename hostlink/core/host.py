@@ -28,11 +28,14 @@ from hostlink.core.hub.node import Role
 from hostlink.core.hub.node_graph import KnownTopic, NodeGraph, VelocityTopic
 from hostlink.core.hub.parameters import ParameterSource, to_parameter
 from hostlink.core.hub.participant import MAX_ADVERTISED, MAX_CALLS, MAX_SUBSCRIPTIONS, Participant
+from hostlink.core.hub.providers import Provision, RobotProvider
 from hostlink.core.hub.queue import Queue
 from hostlink.core.hub.reloader import Prepare, Reloaded
+from hostlink.core.hub.remote_robot import RemoteRobot, RemoteRobots
 from hostlink.core.hub.robot import LOCK_REASON, AnyRobot
 from hostlink.core.hub.robot_handle import Measured, RecordedMotion, RobotHandle
 from hostlink.core.hub.robot_topic_publisher import own_topics
+from hostlink.core.hub.robots_here import RobotHere, RobotsHere
 from hostlink.core.hub.standstills import MAX_WAIT_S, WAIT_S, own_services
 from hostlink.core.hub.stops import Stops
 from hostlink.core.hub.subscription import Subscription
@@ -45,21 +48,68 @@ from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.state import RobotState
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.loop_time import loop_time_s
-from hostlink.errors import HostlinkError
+from hostlink.errors import BadRequest, HostlinkError
 
 __all__ = [
-    "API_VERSION", "LOCK_REASON", "MAX_ADVERTISED", "MAX_CALLS", "MAX_SUBSCRIPTIONS", "MAX_WAIT_S", "OBSERVERS",
-    "PROGRAM_PRIORITY", "WAIT_S", "Capture", "Component", "Devices", "EventKind", "Graph", "GraphService", "GraphTopic",
-    "Host", "KnownTopic", "LinkMeasures", "Listening", "Measured", "Measures", "Message", "NodeGraph", "Participant",
-    "PlanarVelocity", "Queue", "Receive", "RecordedMotion", "Reloaded", "RobotEvent", "RobotHandle", "RobotMeasures",
-    "RobotState", "Role", "Share", "Spawn", "Standstill", "Stopped", "Stops", "Subscription", "TopicSource", "Turns",
-    "VelocityTopic", "resolve", "to_parameter",
+    "API_VERSION",
+    "LOCK_REASON",
+    "MAX_ADVERTISED",
+    "MAX_CALLS",
+    "MAX_SUBSCRIPTIONS",
+    "MAX_WAIT_S",
+    "OBSERVERS",
+    "PROGRAM_PRIORITY",
+    "WAIT_S",
+    "Capture",
+    "CommandEndpoint",
+    "Component",
+    "Devices",
+    "EventKind",
+    "Graph",
+    "GraphService",
+    "GraphTopic",
+    "Host",
+    "KnownTopic",
+    "LinkMeasures",
+    "Listening",
+    "Measured",
+    "Measures",
+    "Message",
+    "NodeGraph",
+    "Participant",
+    "PlanarVelocity",
+    "Queue",
+    "Receive",
+    "RecordedMotion",
+    "Reloaded",
+    "RemoteRobot",
+    "RemoteRobots",
+    "RobotEvent",
+    "RobotHandle",
+    "RobotHere",
+    "RobotMeasures",
+    "RobotProvider",
+    "RobotState",
+    "RobotsHere",
+    "Role",
+    "Share",
+    "Spawn",
+    "Standstill",
+    "Stopped",
+    "Stops",
+    "Subscription",
+    "TopicSource",
+    "Turns",
+    "VelocityTopic",
+    "resolve",
+    "to_parameter",
 ]  # fmt: skip
 
 API_VERSION = (1, 1)  # the second number grows with what is added, the first with what is removed or changed
 
 log = structlog.get_logger()
 Settings = TypeVar("Settings")
+Kept = TypeVar("Kept")
 
 
 class Stopped(NamedTuple):
@@ -115,9 +165,14 @@ class Host:
     """
 
     def __init__(
-        self, hub: Hub, name: str, spawn: Callable[[Coroutine[Any, Any, object], str], None], counts: Counter[str]
+        self,
+        hub: Hub,
+        name: str,
+        spawn: Callable[[Coroutine[Any, Any, object], str], None],
+        counts: Counter[str],
+        kept: dict[str, Any] | None = None,
     ) -> None:
-        """`spawn` runs work as long as the component. `counts`: the component's counters, of all its runs."""
+        """`spawn` runs work as long as the component. `counts` and `kept` are of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
         # One that the hub and the component have let go of is not kept, nor what its callbacks refer to.
         self._participants: WeakValueDictionary[int, Participant] = WeakValueDictionary()
@@ -132,6 +187,10 @@ class Host:
         self.measures = Measures(hub)  # counters
         self.came_s = hub.gates.came_s  # earliest time at which what is read at a time may have arrived
         self.hold_writes, self.write_held = hub.gates.hold, hub.gates.write  # velocities of one turn, written at once
+        self._has_ended = False
+        self._kept = {} if kept is None else kept
+        self._remote: list[RemoteRobots] = []
+        self._here: RobotsHere | None = None
         self.log = log.bind(component=name)
 
     # -- robots -------------------------------------------------------------------------------------------------------
@@ -317,6 +376,9 @@ class Host:
         at a stick has 60. `group`: of a bridge to another graph: its participants do not receive what the group sends.
         `on_end` is called when a failure of one of its callbacks ends it. The participant leaves by
         `leave`, and with the run: the robots that it drives stop.
+
+        Raises:
+            BadRequest: the run has ended.
         """
         return self._joined(Participant(self._hub, name, role=role, priority=priority, group=group, on_end=on_end))
 
@@ -333,6 +395,8 @@ class Host:
         return self._joined(Participant(self._hub, DAEMON, role=Role.READ, is_daemon=True, group=group))
 
     def _joined(self, participant: Participant) -> Participant:
+        if self._has_ended:
+            raise BadRequest(f"{participant.name}: the run of {self._name} has ended")
         self._participants[next(self._numbers)] = participant
         return participant
 
@@ -409,6 +473,47 @@ class Host:
         """
         return await self._hub.reloader.reload()
 
+    # -- robots of other hosts, and other daemons that use those here ----------------------------------------
+
+    def announce_robots(self, provider: RobotProvider) -> RemoteRobots:
+        """Reach robots of other hosts by a provider, until the run ends. The result announces each of them.
+
+        A stop, a lock and an unlock of all reach the provider at once, and those of a robot by its name. Users see the
+        robots as those that are here. Commands for them pass the same rules, before the provider sends them. A failure
+        of the provider is a failure of the component.
+        """
+
+        def fail(error: Exception) -> None:
+            self._spawn(_raise(error), "provider of robots")
+
+        robots = RemoteRobots(
+            self._hub.robots, self._hub.gates, self._hub.topics, Provision(provider, self._name, fail)
+        )
+        self._remote.append(robots)
+        return robots
+
+    @property
+    def here(self) -> RobotsHere:
+        """The robots and boards of this daemon alone, for requests of other daemons."""
+        if self._here is None:
+            self._here = RobotsHere(self._hub.robots)
+        return self._here
+
+    def is_remote(self, robot: str) -> bool:
+        """Whether the robot of this name, as `robots` shows it, is of another host."""
+        remote = self._hub.robots.remote.get(robot)
+        return remote is not None and self._hub.robots.find(robot) is remote
+
+    @property
+    def slept_s(self) -> float:
+        """For how long this computer has slept so far, in seconds. `now_s` does not count it."""
+        return self._hub.slept_s()
+
+    @property
+    def forget_after_s(self) -> float:
+        """For how long a disconnected robot is kept."""
+        return self._hub.config.link.forget_robot_after_s
+
     # -- the component itself -----------------------------------------------------------------------------------------
 
     @property
@@ -429,10 +534,17 @@ class Host:
         """Add to a counter of the component, which GET /metrics shows."""
         self._counts[what] += number
 
-    def count_by(self, read: Callable[[], Mapping[str, int]]) -> None:
-        """Show further counters in GET /metrics: those that `read` returns."""
+    def count_by(self, read: Callable[[], Mapping[str, int]], *, part: str = "") -> None:
+        """Show further counters in GET /metrics: those that `read` returns. `part`: under a name of their own."""
         own = self._counts
-        self._hub.counts.components[self._name] = lambda: {**own, **read()}
+        self._hub.counts.components[part or self._name] = read if part else lambda: {**own, **read()}
+
+    def kept(self, what: str, make: Callable[[], Kept]) -> Kept:
+        """Return what an earlier run of the component has left by this name. `make` makes it for the first one."""
+        if what not in self._kept:
+            self._kept[what] = make()
+        found: Kept = self._kept[what]
+        return found
 
     def share(self, kind: str) -> Share:
         """Return a part of the one budget of bytes that strangers make the daemon keep: "queues", "calls", others."""
@@ -454,11 +566,16 @@ class Host:
         """Say what is wrong with the component, as `hostlink doctor` shows it; empty: it works. `code`: its finding."""
         self._hub.diagnoses.observe_own(self._name, code if problem else "", problem)
 
-    def close(self) -> None:
-        """End everything that the run took. Called by the daemon."""
+    def close(self, *, is_resumed: bool = False) -> None:
+        """End everything that the run took. Called by the daemon. `is_resumed`: another run follows."""
+        self._has_ended = True
         for participant in list(self._participants.values()):
             participant.leave()
         self._participants.clear()
+        for robots in self._remote:
+            robots.close(is_resumed=is_resumed)
+        if self._here is not None:
+            self._here.close()
         if self._source is not None and self._hub.links.parameter_source is self._source:
             self.answer_parameters(None)
         if self._has_clock:
@@ -466,6 +583,10 @@ class Host:
         for prepare in self._prepares:
             self._hub.reloader.prepares.remove(prepare)
         self._prepares.clear()
+
+
+async def _raise(error: Exception) -> None:
+    raise error
 
 
 def _unreached(endpoints: Iterable[CommandEndpoint]) -> tuple[str, ...]:

@@ -522,7 +522,7 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "components/zenoh/rmw_bridge.py: self.participant.publish": (entry_points.RmwPublisher,),
     "components/zenoh/rmw_bridge.py: publisher.publish": (entry_points.RmwPublisher,),
     "components/zenoh/rmw_bridge.py: self._publishers.publish": (entry_points.RmwPublisher,),
-    "components/zenoh/fleet_commands.py: participant.drive": (entry_points.Fleet,),
+    "components/zenoh/fleet_commands.py: self._here.drive": (entry_points.Fleet,),
     "components/zenoh/fleet_commands.py: self._participant(neighbour, _PUBLISHER, 'programs').publish": (
         entry_points.FleetPublisher,
     ),
@@ -535,7 +535,9 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "core/hub/participant.py: known.publish": (entry_points.RosbridgePublish,),
     "core/hub/participant.py: robot.command": (entry_points.RosbridgeDrive,),
     "core/hub/gates.py: gate.command": (entry_points.RosbridgeDrive,),
-    "core/hub/robot.py: self.hosts.drive": (entry_points.FleetSender, entry_points.FleetSenderPublish),
+    "core/hub/robots_here.py: participant.drive": (entry_points.Fleet,),
+    "core/hub/remote_robot.py: self.provision.drive": (entry_points.FleetSender, entry_points.FleetSenderPublish),
+    "core/hub/providers.py: self._provider.drive": (entry_points.FleetSender, entry_points.FleetSenderPublish),
 }  # fmt: skip
 #: What has the same name, and gives no velocity.
 OTHERS = {

@@ -10,10 +10,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from hostlink.core.config import ApiConfig, Config
 from hostlink.core.hub.device import CommandEndpoint
-from hostlink.core.hub.gates import RemoteHosts
 from hostlink.errors import DeviceGone
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.remote_robots import RecordingHosts, reach
 
 EXAMPLES = 8  # a path
 PROMISED = Path(__file__).with_name("openapi.json")
@@ -65,11 +65,8 @@ async def test_the_document_is_true() -> None:
         assert (await host.get("/api/links"))["crashes"] == 0
 
 
-class Silent(RemoteHosts):
+class Silent(RecordingHosts):
     """Another daemon of the fleet, which has not answered in time."""
-
-    def stop(self, name: str | None) -> None:
-        """Accept the stop."""
 
     async def settled(self) -> list[CommandEndpoint]:
         raise DeviceGone("lab-2", "it has not answered")
@@ -80,8 +77,8 @@ async def test_a_daemon_of_the_fleet_that_does_not_answer_is_in_the_document() -
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await device.send(pose(1.0, 2.0, 0.5))
         document = await host.get("/api/openapi.json")
-        host.hub.gates.reach(Silent())
+        provision = reach(host.hub, Silent())
         for path in paths:
             assert (await host.rest("POST", path.format(name="robot_0")))[0] == 503, path
             assert "503" in document["paths"][path]["post"]["responses"]
-        host.hub.gates.reach(None)
+        host.hub.gates.providers.remove(provision)

@@ -18,7 +18,8 @@ from hostlink.components.graphs.ros2_types import Ros2Types
 from hostlink.components.zenoh import rmw_bridge
 from hostlink.components.zenoh.rmw_protocol import parse_token
 from hostlink.components.zenoh.session import Token
-from hostlink.core.config import Config, ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.message import Message
 from hostlink.core.robot.velocity import PlanarVelocity
@@ -409,11 +410,11 @@ async def test_two_hosts_of_hostlink_do_not_take_each_others_robots_for_those_of
 
 async def test_a_robot_of_a_fleet_is_shown_in_ros_2_by_its_own_daemon_alone() -> None:
     address, other = (f"127.0.0.1:{free_port()}" for _ in range(2))
-    settings = ZenohConfig(ros2=True, multicast=False, listen=(f"tcp/{address}",), name="a")
+    settings = ZenohSettings(ros2=True, multicast=False, listen=(f"tcp/{address}",), name="a")
     beside = replace(settings, listen=(f"tcp/{other}",), connect=(f"tcp/{address}",), name="b")
     async with (
-        daemon(Config(zenoh=settings)) as first,
-        daemon(Config(zenoh=beside)) as second,
+        daemon(Config(component_settings={"zenoh": settings})) as first,
+        daemon(Config(component_settings={"zenoh": beside})) as second,
         fake_device(first.tcp, robot_topics()) as device,
         zenoh_session(address, other) as session,
     ):

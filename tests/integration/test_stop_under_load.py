@@ -18,7 +18,8 @@ from hostlink.core.config import Config, LinkConfig
 from hostlink.core.hub.gates import MAX_STEPS, TICK_S
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.message import PROGRAM_PRIORITY
-from hostlink.core.hub.robot import AnyRobot, RemoteRobot
+from hostlink.core.hub.remote_robot import RemoteRobot
+from hostlink.core.hub.robot import AnyRobot
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
@@ -32,7 +33,7 @@ from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import publish
-from tests.support.remote_robots import connected_robot
+from tests.support.remote_robots import RecordingHosts, connected_robot, reach
 from tests.support.ros_lib_device import running_hub
 from tests.support.virtual_device import LOOP_S, FirmwareProgram, NumberedRobot
 from tests.support.virtual_loop import VirtualLoop, run_virtual
@@ -212,14 +213,16 @@ def test_robot_that_was_idle_for_minutes_is_driven_at_once_unless_the_daemon_sta
     in_hub(check, Config(link=LinkConfig(silence_timeout_s=None, idle_timeout_s=None)))
 
 
-class OtherDaemon:
+class OtherDaemon(RecordingHosts):
     """Another daemon with one robot, which takes any received velocity as new."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.driven: list[PlanarVelocity] = []
 
-    def drive(self, _: RemoteRobot, velocity: PlanarVelocity, **facts: object) -> None:
+    def drive(self, robot: RemoteRobot, velocity: PlanarVelocity, **facts: Any) -> None:
         assert facts["priority"] == PROGRAM_PRIORITY
+        super().drive(robot, velocity, **facts)
         self.driven.append(velocity)
 
 
@@ -232,9 +235,8 @@ async def with_other_daemon() -> AsyncIterator[tuple[Hub, OtherDaemon]]:
             running = tasks.create_task(hub.run(), name="hub")
             await hub.is_running.wait()
             await asyncio.sleep(60.0)
-            hosts: Any = other
-            hub.gates.reach(hosts)
-            connected_robot(hub, "far", hosts)
+            reach(hub, other)
+            connected_robot(hub, "far", other)
             await asyncio.sleep(60.0)
             yield hub, other
             running.cancel()

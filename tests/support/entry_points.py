@@ -44,7 +44,9 @@ from hostlink.components.zenoh.rmw_protocol import (
     gid_of,
 )
 from hostlink.components.zenoh.session import ZenohSession
-from hostlink.core.config import Config, ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.components import hosted
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
 from hostlink.core.hub.robot_topic_publisher import twist_topic
@@ -514,7 +516,7 @@ class RmwPublisher(EntryPoint):
         counts = Counter[str]()
         unused = cast("ZenohSession", None)  # publishers send nothing
         own = NodeToken(0, "ff", 0, "/", "hostlink")
-        node = RmwNode(self.made.hub, unused, Ros2Types(CATALOG, "kilted"), own, counts)
+        node = RmwNode(host_in(self.made.hub, "zenoh"), unused, Ros2Types(CATALOG, "kilted"), own, counts)
         graph = RemoteGraph(0, counts)
         self._publishers, self._sent = Publishers(node, graph, LogOnce(counts)), 0
         remote = NodeToken(0, "aa", 0, "/", "driver")
@@ -591,7 +593,8 @@ class FleetSender(EntryPoint):
         network = MemoryNetwork()
         for hub, name, zid in ((self.made.hub, "lab", "1a"), (self.hub, "desk", "2b")):
             session = cast("ZenohSession", MemorySession(network, zid))
-            await self._stack.enter_async_context(fleet_running(hub, session, ZenohConfig(name=name)))
+            host = await self._stack.enter_async_context(hosted(hub, "zenoh", Counter()))
+            await self._stack.enter_async_context(fleet_running(host, session, ZenohSettings(name=name)))
         await asyncio.sleep(2.0)  # the second state of a robot has its topics
         self.participant = self.hub.join("client 3")
 

@@ -102,7 +102,7 @@ class FleetDriver:
         self._answers, self._numbers = _Answers(), itertools.count(1)
         roster = self._roster = FleetRoster(Counter())
         transport = FleetTransport(cast("ZenohSession", self._answers), self._keys, self._here, Counter())
-        self._drivers = FleetDrivers(scene.hub, transport, roster)
+        self._drivers = FleetDrivers(host_in(scene.hub, "fleet"), transport, roster)
         roster.appear(self._there, _now_s())
         roster.receive(self._there, State(sent_s=_now_s(), topics=0, robots=()), _now_s())
 

@@ -10,6 +10,7 @@ import struct
 import sys
 import time
 from asyncio.subprocess import PIPE
+from collections import Counter
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -20,7 +21,9 @@ import zenoh.ext
 
 from hostlink.components.zenoh.rmw_bridge import RmwBridge, ros2_bridged
 from hostlink.components.zenoh.session import ZenohSession, opened
-from hostlink.core.config import Config, LinkConfig, ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.components import hosted
+from hostlink.core.config import Config, LinkConfig
 from tests.support.daemon import Daemon, daemon
 from tests.support.fork_server import Child, Program, shared, start
 from tests.support.process import free_port
@@ -48,12 +51,13 @@ async def bridged(**settings: Any) -> AsyncIterator[Bridged]:
     """A daemon with ROS 2 that waits for silent devices; other daemons and nodes find it by its address alone."""
     address = f"127.0.0.1:{free_port()}"
     zenoh_config = replace(
-        ZenohConfig(ros2=True, listen=(f"tcp/{address}",), multicast=False, name="test-host"), **settings
+        ZenohSettings(ros2=True, listen=(f"tcp/{address}",), multicast=False, name="test-host"), **settings
     )
     async with (
         daemon(Config(link=LinkConfig(silence_timeout_s=None, idle_timeout_s=None))) as running,
-        opened(zenoh_config, running.hub.isolation) as session,
-        ros2_bridged(running.hub, session, zenoh_config) as bridge,
+        opened(zenoh_config, running.hub.isolation.around) as session,
+        hosted(running.hub, "zenoh", Counter()) as host,
+        ros2_bridged(host, session, zenoh_config) as bridge,
     ):
         yield Bridged(running, session, bridge, address)
 

@@ -6,17 +6,18 @@ from collections.abc import AsyncIterator
 from dataclasses import replace
 from typing import Any
 
-from hostlink.core.config import Config, ZenohConfig
-from hostlink.core.hub.robot import RemoteRobot
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.config import Config
+from hostlink.core.hub.remote_robot import RemoteRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import answered
 from tests.support.process import free_port
 from tests.support.waiting import expect
 
 
-def zenoh(name: str, port: int, *others: int, **settings: Any) -> ZenohConfig:
+def zenoh(name: str, port: int, *others: int, **settings: Any) -> ZenohSettings:
     """A peer that listens on one port and connects to others."""
-    return ZenohConfig(
+    return ZenohSettings(
         name=name,
         listen=(f"tcp/127.0.0.1:{port}",),
         connect=tuple(f"tcp/127.0.0.1:{other}" for other in others),
@@ -33,9 +34,17 @@ async def fleet(*names: str, config: Config | None = None, **settings: Any) -> A
     async with contextlib.AsyncExitStack() as stack:
         hosts = []
         for number, name in enumerate(names):
-            own = replace(config, zenoh=zenoh(name, ports[number], *ports[:number], **settings))
+            own = replace(config, component_settings={"zenoh": zenoh(name, ports[number], *ports[:number], **settings)})
             hosts.append(await stack.enter_async_context(daemon(own)))
+        for host in hosts:
+            await has_met(host, len(hosts) - 1)
         yield hosts
+
+
+async def has_met(host: Daemon, others: int) -> None:
+    """Wait until the daemon is a part of the fleet, and has heard as many others."""
+    counts = host.hub.counts.components
+    await expect(lambda: "fleet" in counts and counts["fleet"]().get("met", 0) >= others)
 
 
 async def shown(host: Daemon, name: str) -> RemoteRobot:
@@ -63,14 +72,14 @@ async def subscriber_count(host: Daemon, topic: str) -> int:
 
 def port_of(host: Daemon) -> int:
     """Return the port of the daemon's Zenoh session."""
-    settings = host.hub.config.zenoh
-    assert settings is not None
+    settings: ZenohSettings = host.hub.config.component_settings["zenoh"]
     return int(settings.listen[0].rpartition(":")[2])
 
 
 @contextlib.asynccontextmanager
 async def joined(port: int, name: str, **settings: Any) -> AsyncIterator[Daemon]:
     """One more daemon, which connects to that port."""
-    own = Config(zenoh=zenoh(name, free_port(), port, **settings))
+    own = Config(component_settings={"zenoh": zenoh(name, free_port(), port, **settings)})
     async with daemon(own) as host:
+        await has_met(host, 0)
         yield host

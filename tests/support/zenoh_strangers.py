@@ -16,7 +16,8 @@ from typing import Any
 
 import zenoh
 
-from hostlink.core.config import Config, ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.config import Config
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics
 from tests.support.waiting import expect
@@ -56,7 +57,11 @@ def listeners() -> list[str]:
 def certified(folder: Path, name: str, **settings: Any) -> Config:
     """A daemon as docs/fleet-security.md has it."""
     certificate, key = make_certificate(folder, name, ADDRESS)
-    return Config(zenoh=ZenohConfig(name=name, ca=folder / "ca.pem", certificate=certificate, key=key, **settings))
+    return Config(
+        component_settings={
+            "zenoh": ZenohSettings(name=name, ca=folder / "ca.pem", certificate=certificate, key=key, **settings)
+        }
+    )
 
 
 @contextlib.contextmanager
@@ -92,9 +97,9 @@ async def obeyed(stranger: Daemon, device: FakeDevice) -> int:
 
 async def run(way: str, folder: Path) -> dict[str, Any]:
     make_authority(folder)
-    plain = ZenohConfig(name="desk")
+    plain = ZenohSettings(name="desk")
     if way == "gossip":
-        plain = ZenohConfig(name="desk", connect=(f"tcp/{ADDRESS}:7501",), multicast=False)
+        plain = ZenohSettings(name="desk", connect=(f"tcp/{ADDRESS}:7501",), multicast=False)
     listen = (f"tls/{ADDRESS}:{PORT}",)
     async with contextlib.AsyncExitStack() as stack:
         lab = await stack.enter_async_context(daemon(certified(folder, "lab-1", listen=listen)))
@@ -104,7 +109,7 @@ async def run(way: str, folder: Path) -> dict[str, Any]:
         found = {"listeners": listeners()}
         if way == "gossip":
             stack.enter_context(mole(folder))
-        stranger = await stack.enter_async_context(daemon(Config(zenoh=plain)))
+        stranger = await stack.enter_async_context(daemon(Config(component_settings={"zenoh": plain})))
         with contextlib.suppress(AssertionError, TimeoutError):
             await expect(lambda: "robot_7" in stranger.hub.robots.remote, timeout_s=MET_WITHIN_S)
         is_seen = "robot_7" in stranger.hub.robots.remote

@@ -383,9 +383,9 @@ async def serve_api(host: Host, settings: Config, recordings: Recordings) -> Asy
     await runner.setup()
     try:
         listening = await _bind(config)
-        host, port = listening[0].getsockname()[:2]
+        address, port = listening[0].getsockname()[:2]
         async with server.listener.serving(listening, protocols_of(runner), tls):
-            yield url_of(host, port, has_tls=tls is not None)
+            yield url_of(address, port, has_tls=tls is not None)
     finally:
         await runner.cleanup()
 

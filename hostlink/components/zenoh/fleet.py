@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import socket
 from collections import Counter, OrderedDict
 from collections.abc import AsyncIterator, Callable, Iterable
@@ -27,19 +28,19 @@ from hostlink.components.zenoh.fleet_messages import (
     State,
     encode,
     is_shareable,
-    state_of,
+    message_of,
 )
+from hostlink.components.zenoh.fleet_orders import FleetOrders
 from hostlink.components.zenoh.fleet_topics import MAX_MESSAGE_BYTES, FleetTopics, note_failure
 from hostlink.components.zenoh.roster import FleetRoster, Neighbour, Place
 from hostlink.components.zenoh.session import Declaration, Token, ZenohSample, ZenohSession
-from hostlink.core.config import ZenohConfig
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot import LocalRobot, RemoteRobot
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.host import Host, RemoteRobot, RemoteRobots
 from hostlink.core.mirror.inbox import SLICE_S
 from hostlink.core.mirror.mirror import Mirror
 from hostlink.core.runtime.logs import of_peer, printable
 from hostlink.core.runtime.loop_time import loop_time_s
-from hostlink.errors import HostlinkError
+from hostlink.errors import BadRequest, HostlinkError
 
 log = structlog.get_logger()
 
@@ -54,8 +55,8 @@ _UNSTEADY: dict[str, Any] = {  # a change of these alone waits for the next inte
 class FleetStates:
     """States of the robots here, sent each second and after each change; poses by another key while they are read."""
 
-    def __init__(self, hub: Hub, transport: FleetTransport) -> None:
-        self._hub, self._transport = hub, transport
+    def __init__(self, host: Host, transport: FleetTransport) -> None:
+        self._here, self._transport = host.here, transport
         self._states = transport.session.declare_publisher(transport.key("state"), is_urgent=True)
         self._live = transport.session.declare_publisher(transport.key("live"))
         self._is_live = False
@@ -73,7 +74,7 @@ class FleetStates:
     def tick(self, topics: int) -> None:
         """Send what has changed; `topics`: the number of the list of topics."""
         self._topics, now_s = topics, loop_time_s()
-        states, boards_locked = self.states(), self._hub.robots.boards.lock_reason
+        states, boards_locked = self.states(), self._here.boards_lock_reason
         known = (topics, boards_locked, *(msgspec.structs.replace(each, **_UNSTEADY) for each in states))
         if now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known:
             self._due_s, self._known = now_s + STATE_INTERVAL_S, known
@@ -97,11 +98,11 @@ class FleetStates:
 
     def states(self) -> tuple[RobotMessage, ...]:
         """Return the state of every robot here whose name a key may contain."""
-        robots = [robot for robot in self._hub.robots.here() if is_shareable(robot)]
+        robots = [robot for robot in self._here.all() if is_shareable(robot.name)]
         if len(robots) > MAX_ROBOTS:
             self._transport.counts["unshared_robots"] += len(robots) - MAX_ROBOTS
             robots = sorted(robots, key=lambda robot: robot.link is None)[:MAX_ROBOTS]
-        return tuple(map(state_of, robots))
+        return tuple(message_of(self._here.state(robot.name)) for robot in robots)
 
     def end(self) -> None:
         """Tell the other daemons that this one ends, which stops its robots."""
@@ -127,16 +128,17 @@ class FleetRobots:
 
     def __init__(
         self,
-        hub: Hub,
+        host: Host,
         transport: FleetTransport,
+        robots: RemoteRobots,
         roster: FleetRoster,
         requests: FleetRequests,
         topics: FleetTopics,
     ) -> None:
-        self._hub, self._transport, self._roster = hub, transport, roster
+        self._host, self._here, self._transport, self._robots, self._roster = host, host.here, transport, robots, roster
         self._requests, self._topics = requests, topics
         self._live = Mirror[str, Sender, Declaration](
-            self._subscribe, lambda zid, error: note_failure(hub, transport, "failed_topics", zid, error)
+            self._subscribe, lambda zid, error: note_failure(host, transport, "failed_topics", zid, error)
         )
         self._due: OrderedDict[str, None] = OrderedDict()  # names
         self._is_due = False
@@ -147,18 +149,20 @@ class FleetRobots:
         for name in names:
             self._note_namesakes(name)
             place = self._roster.place(name)
-            robot = self._hub.robots.remote.get(name)
+            robot = self._robots.get(name)
             if place is None:
                 self._topics.hide(name)
-                self._hub.robots.pop_remote(name)
+                self._robots.withdraw(name)
                 continue
             sender = place.neighbour.sender
             if robot is None or robot.place != sender.zid:
                 self._topics.hide(name)
-                before, robot = robot, self._remote_robot(place)
-                if before is not None:  # its drivers continue here
-                    robot.admission = before.admission
-                self._hub.robots.put_remote(robot)
+                host = printable(sender.name)
+                try:
+                    robot = self._robots.announce(place.state.state, host=host, place=sender.zid)
+                except BadRequest as error:
+                    note_failure(self._host, self._transport, "refused_robots", name, error)
+                    continue
             if place.also_at and not robot.also_at:
                 _log_duplicate(name, (sender.name, *place.also_at))
             robot.also_at = place.also_at
@@ -174,27 +178,16 @@ class FleetRobots:
     def _apply_due(self) -> None:
         ends_s = loop_time_s() + SLICE_S
         while self._due:
-            with self._hub.isolation.around("graph", graph="fleet"):
+            with self._host.around("graph", graph="fleet"):
                 self.apply((self._due.popitem(last=False)[0],))
             if loop_time_s() >= ends_s:
                 asyncio.get_running_loop().call_soon(self._apply_due)
                 return
         self._is_due = False
 
-    def _remote_robot(self, place: Place) -> RemoteRobot:
-        return RemoteRobot(
-            name=place.state.name,
-            host=printable(place.neighbour.sender.name),
-            place=place.neighbour.sender.zid,
-            known=place.state.state,
-            hosts=self._requests,
-            gates=self._hub.gates,
-            graph=self._hub.topics,
-        )
-
     def _update(self, robot: RemoteRobot, place: Place) -> None:
         state, epoch = place.state.state, place.state.epoch
-        robot.connect(state.link if place.is_connected else None, epoch, self._hub.robots.new_number)
+        robot.connect(state.link if place.is_connected else None, epoch)
         lock_reason = state.lock_reason or self._requests.lock_reason(state.name)
         holder = state.holder and state.holder.removesuffix(f" at {self._transport.me.name}")  # one who is here
         robot.update(msgspec.structs.replace(state, holder=holder, lock_reason=lock_reason), epoch=epoch)
@@ -208,41 +201,37 @@ class FleetRobots:
 
     def _is_free(self, name: str) -> bool:
         """Whether no robot that is connected here has this name."""
-        robot = self._hub.robots.get_here(name)
+        robot = self._here.get(name)
         return robot is None or robot.link is None
 
     def _note_namesakes(self, name: str) -> None:
         """Note a name that another daemon has too: programs here drive the robot here, other programs neither."""
-        robot = self._hub.robots.get_here(name)
+        robot = self._here.get(name)
         if robot is None:
             return
         also_at = self._roster.connected_at(name) if robot.link is not None else ()
         if also_at and not robot.also_at:
             _log_duplicate(name, (self._transport.me.name, *also_at))
-        robot.also_at = also_at
-        if robot.link is not None and self._known_links.get(name) != robot.link.number:
-            self._known_links[name] = robot.link.number
-            self._lock_likewise(robot)
+        if robot.also_at != also_at:
+            self._here.note_others(name, also_at)
+        if robot.link is not None and self._known_links.get(name) != robot.link:
+            self._known_links[name] = robot.link
+            if robot.lock_reason is None:
+                self._lock_likewise(name)
 
-    def _lock_likewise(self, robot: LocalRobot) -> None:
+    def _lock_likewise(self, name: str) -> None:
         """Lock a robot that was locked at another daemon, or for one out of sight, before it connected here."""
-        reason = self._requests.lock_reason(robot.name)
-        if reason is not None and robot.gate.lock_reason is None:
-            with contextlib.suppress(HostlinkError):
-                robot.lock_here(reason)
-        for neighbour in self._roster.all():
-            state = neighbour.robots.get(robot.name)
-            if state is not None and state.lock_reason is not None and robot.gate.lock_reason is None:
-                with contextlib.suppress(HostlinkError):  # it is locked, although its device refused the zero
-                    robot.lock_here(f"locked at {neighbour.sender.name}: {state.lock_reason}")
+        reason = self._requests.lock_reason(name)
+        states = ((each.sender.name, each.robots.get(name)) for each in self._roster.all())
+        locked = (f"locked at {host}: {each.lock_reason}" for host, each in states if each and each.lock_reason)
+        reason = reason or next(locked, None)
+        if reason is not None:
+            with contextlib.suppress(HostlinkError):  # it is locked, although its device refused the zero
+                self._here.lock(name, reason)
 
-    def follow(self, now_s: float) -> None:
+    def follow(self) -> None:
         """Subscribe to the poses of daemons whose robots are read here."""
-        wanted = {
-            str(robot.place)
-            for robot in self._hub.robots.remote.values()
-            if robot.followers or now_s < robot.odometry.read_at_s + READ_S
-        }
+        wanted = {str(robot.place) for robot in self._robots.all() if robot.is_followed(READ_S)}
         senders = [neighbour.sender for neighbour in self._roster.all()]
         self._live.want({sender.zid: sender for sender in senders if sender.zid in wanted})
 
@@ -260,10 +249,11 @@ class FleetRobots:
         """Remove all robots of other daemons."""
         self._due.clear()
         self._live.close()
-        for name in list(self._hub.robots.remote):
-            self._hub.robots.pop_remote(name)
-        for robot in self._hub.robots.here():
-            robot.also_at = ()
+        self._here.close()
+
+    def names_here(self) -> list[str]:
+        """Return robots here whose name another daemon has too: one of them may have connected or left."""
+        return [robot.name for robot in self._robots.all() if self._here.get(robot.name) is not None]
 
 
 def _log_duplicate(name: str, hosts: Iterable[str]) -> None:
@@ -277,21 +267,39 @@ _UNHEARD = "Robots there are shown as last seen; a stop or a lock is in force th
 FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have been dropped
 
 
+class FleetMemory:
+    """State for the next run of the fleet: other daemons, and the stops and locks that they have not obeyed."""
+
+    def __init__(self, forget_after_s: float) -> None:
+        self.counts: Counter[str] = Counter()
+        self.roster = FleetRoster(self.counts, forget_after_s=forget_after_s)
+        self.orders = FleetOrders(self.roster)
+        self.numbers = itertools.count(1)  # of requests
+
+    def end(self, now_s: float) -> None:
+        """Note that nothing is heard from now on."""
+        self.orders.end()
+        self.roster.leave_all(now_s)
+
+
 class Fleet:
     """Membership of this daemon in the fleet."""
 
-    def __init__(self, hub: Hub, session: ZenohSession, config: ZenohConfig) -> None:
-        counts: Counter[str] = Counter()
-        hub.counts.components["fleet"] = lambda: counts
-        me = Sender(config.name or sender_name(socket.gethostname()), session.zid)
-        self._hub = hub
-        self._transport = FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers, hub.slept_s)
-        self._roster = FleetRoster(counts, forget_after_s=hub.config.link.forget_robot_after_s)
-        self._states = FleetStates(hub, self._transport)
-        self._drivers = FleetDrivers(hub, self._transport, self._roster)
-        self._requests = FleetRequests(self._transport, self._roster)
-        self._topics = FleetTopics(hub, self._transport, self._drivers, self._roster)
-        self._robots = FleetRobots(hub, self._transport, self._roster, self._requests, self._topics)
+    def __init__(self, host: Host, session: ZenohSession, config: ZenohSettings) -> None:
+        """Reach the other daemons from now on: a stop here is one there."""
+        memory = self._memory = host.kept("fleet", lambda: FleetMemory(host.forget_after_s))
+        counts = memory.counts
+        host.count_by(lambda: counts, part="fleet")
+        me, keys = Sender(config.name or sender_name(socket.gethostname()), session.zid), Keys(config.fleet_name)
+        self._host = host
+        self._transport = FleetTransport(session, keys, me, counts, config.drivers, lambda: host.slept_s)
+        self._roster = memory.roster
+        self._states = FleetStates(host, self._transport)
+        self._drivers = FleetDrivers(host, self._transport, self._roster)
+        self._requests = FleetRequests(self._transport, self._roster, memory.orders, memory.numbers)
+        self._remote = host.announce_robots(self._requests)
+        self._topics = FleetTopics(host, self._transport, self._remote, self._drivers, self._roster)
+        self._robots = FleetRobots(host, self._transport, self._remote, self._roster, self._requests, self._topics)
         self._requests.show = self._robots.apply_soon
         self._declarations: list[Declaration] = []
         self._tokens = Declaration()  # the subscription to those of other daemons
@@ -316,26 +324,26 @@ class Fleet:
         ]
         self._find_daemons(loop_time_s())
         self._topics.begin()
-        self._hub.gates.reach(self._requests)
+        self._robots.apply_soon(self._roster.names())  # of an earlier run
 
     async def run(self) -> None:
         """Send states, and watch the others, until `end`."""
         while not self._has_ended:
-            with self._hub.isolation.around("graph", graph="fleet"):
+            with self._host.around("graph", graph="fleet"):
                 self._tick()
             await asyncio.sleep(TICK_S)
 
     def end(self) -> None:
         """Leave the fleet: the robots of others are unknown, and what others drive here stops."""
         self._has_ended = True
-        self._hub.gates.reach(None)
-        self._states.end()  # before the token is withdrawn
-        for declaration in (*self._declarations, self._tokens):
-            declaration.close()
-        self._topics.end()
-        self._robots.end()
-        self._states.close()
+        declarations = [each.close for each in (*self._declarations, self._tokens)]
         self._drivers.leave_all()
+        with contextlib.ExitStack() as steps:  # each is taken, also after a failure; the last one first
+            for step in (self._states.close, self._robots.end, self._topics.end, *reversed(declarations)):
+                steps.callback(step)
+            steps.callback(lambda: self._memory.end(loop_time_s()))
+            steps.callback(self._states.end)  # before the token is withdrawn
+            steps.callback(self._remote.withdraw_all)
 
     def _subscribe(
         self, keys: str, receive: Callable[[ZenohSample], None], max_bytes: int, max_waiting: int
@@ -356,8 +364,8 @@ class Fleet:
         self._drivers.tick(now_s)
         self._requests.tick()
         self._robots.apply_soon(self._roster.watch(now_s) | self._roster.forget(now_s))
-        self._robots.apply(self._names_here())
-        self._robots.follow(now_s)
+        self._robots.apply(self._robots.names_here())
+        self._robots.follow()
         self._tell_unheard()
         for sender in self._roster.pop_stuck(now_s):
             self._relink(sender)
@@ -379,7 +387,7 @@ class Fleet:
             text = f"not heard: {names}. {_UNHEARD}"
         else:
             text = "every host of the fleet is heard again"
-        self._hub.rosout.warn("fleet", text)
+        self._host.warn("fleet", text)
 
     def _relink(self, sender: Sender) -> None:
         """Close the links to a daemon that has a token and sends nothing: Zenoh connects again.
@@ -390,10 +398,6 @@ class Fleet:
         self._transport.counts["relinked"] += 1
         log.warning("fleet.silent_link_closed", host=printable(sender.name), zid=printable(sender.zid))
         self._transport.session.close_links(sender.zid)
-
-    def _names_here(self) -> set[str]:
-        """Return robots here whose name another daemon has too: one of them may have connected or left."""
-        return {robot.name for robot in self._hub.robots.here()} & self._hub.robots.remote.keys()
 
     # -- who there is -------------------------------------------------------------------------------------------------
 
@@ -423,7 +427,7 @@ class Fleet:
         others = [self._transport.me, *(each.sender for each in self._roster.all())]
         if any(other.name == sender.name and other != sender for other in others):
             log.warning("fleet.duplicate_host_found", host=printable(sender.name), zid=printable(sender.zid))
-            self._hub.rosout.warn(
+            self._host.warn(
                 "fleet",
                 f"two hosts of the fleet have the name {printable(sender.name)}: a driver of that name may "
                 "drive from both; set zenoh.name to a different name on each",
@@ -452,14 +456,15 @@ class Fleet:
         neighbour.freshness.late_s(state.sent_s, now_s)
         self._robots.apply_soon(self._roster.receive(neighbour.sender, state, now_s))
         if state.topics != neighbour.topics:
-            self._hub.spawn(self._fetch_topics(neighbour, state.topics), name="topics of another daemon")
+            self._host.spawn(self._fetch_topics(neighbour, state.topics), name="topics of another daemon")
 
     async def _fetch_topics(self, neighbour: Neighbour, number: int) -> None:
-        if await self._topics.fetch(neighbour, number):
-            for name in list(neighbour.robots):
-                self._robots.apply((name,))
-                await asyncio.sleep(0)
-            self._topics.demand()
+        with self._host.around("task", task="topics of another daemon"):
+            if await self._topics.fetch(neighbour, number):
+                for name in list(neighbour.robots):
+                    self._robots.apply((name,))
+                    await asyncio.sleep(0)
+                self._topics.demand()
 
     def _receive_answer(self, sample: ZenohSample) -> None:
         """Stops and locks are answered with the robots as they are now."""
@@ -469,12 +474,12 @@ class Fleet:
 
 
 @contextlib.asynccontextmanager
-async def fleet_running(hub: Hub, session: ZenohSession, config: ZenohConfig) -> AsyncIterator[None]:
+async def fleet_running(host: Host, session: ZenohSession, config: ZenohSettings) -> AsyncIterator[None]:
     """A part of the fleet for the length of the block."""
-    fleet = Fleet(hub, session, config)
-    fleet.begin()
-    hub.spawn(fleet.run(), name="fleet")
+    fleet = Fleet(host, session, config)
     try:
+        fleet.begin()
+        host.spawn(fleet.run(), name="fleet")
         yield
     finally:
         fleet.end()

@@ -28,19 +28,17 @@ from hostlink.components.zenoh.fleet_messages import (
     Lock,
     Release,
     Request,
+    RobotMessage,
     Stop,
     StopRequest,
     Unlock,
     is_shareable,
-    state_of,
+    message_of,
 )
 from hostlink.components.zenoh.fleet_orders import ANSWER_TIMEOUT_S, FleetOrders, Order
 from hostlink.components.zenoh.roster import FleetRoster, Neighbour
 from hostlink.components.zenoh.session import ZenohSample
-from hostlink.core.hub.device import CommandEndpoint
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.participant import Participant
-from hostlink.core.hub.robot import LocalRobot, RemoteRobot
+from hostlink.core.host import CommandEndpoint, Host, Participant, RemoteRobot, RobotHere, RobotProvider
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.core.runtime.logs import of_peer, printable
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -60,8 +58,8 @@ class _FleetDriver:
 class FleetDrivers:
     """Drivers at other daemons: each is a participant here, where the gates and their leases are."""
 
-    def __init__(self, hub: Hub, transport: FleetTransport, roster: FleetRoster) -> None:
-        self._hub, self._transport, self._roster = hub, transport, roster
+    def __init__(self, host: Host, transport: FleetTransport, roster: FleetRoster) -> None:
+        self._host, self._here, self._transport, self._roster = host, host.here, transport, roster
         self._drivers: dict[str, dict[int, _FleetDriver]] = {}  # by daemon, and by their numbers there
 
     # -- requests -----------------------------------------------------------------------------------------------------
@@ -119,15 +117,16 @@ class FleetDrivers:
     # -- its parts ----------------------------------------------------------------------------------------------------
 
     def _answer(self, neighbour: Neighbour, request: Request | StopRequest) -> FleetAnswer:
-        robot = None
+        robot = ""
         try:
             match request:
                 case FleetCommand():
                     if not request.wanted.is_zero:
                         self._check_role(neighbour, request.robot)
                     source = functools.partial(self._participant, neighbour, request.owner, request.owner_name)
-                    robot = self._hub.robots.find_here(request.robot, driver=None if request.wanted.is_zero else source)
-                    return self._drive(neighbour, robot, request)
+                    self._here.require(request.robot, driver=None if request.wanted.is_zero else source)
+                    robot = request.robot
+                    return self._drive(neighbour, request)
                 case Release():
                     driver = self._drivers.get(neighbour.sender.zid, {}).pop(request.owner, None)
                     if driver is not None:
@@ -135,70 +134,59 @@ class FleetDrivers:
                     return FleetAnswer(number=request.number)
                 case Unlock():
                     self._check_role(neighbour, request.robot or "every board")
-                    if request.robot is None:
-                        self._hub.robots.unlock_all_here(by=str(printable(neighbour.sender.name)))
-                        return FleetAnswer(number=request.number)
-                    robot = self._hub.robots.find_here(request.robot)
-                    robot.unlock(by=str(printable(neighbour.sender.name)))
-                    return FleetAnswer(number=request.number, robots=(state_of(robot),))
+                    self._here.unlock(request.robot, by=str(printable(neighbour.sender.name)))
+                    robots = () if request.robot is None else (self._message(request.robot),)
+                    return FleetAnswer(number=request.number, robots=robots)
                 case Stop() | Lock():
                     return self._stop(neighbour, request)
                 case _:
                     assert_never(request)
         except HostlinkError as error:
             self._transport.counts["refused"] += 1
-            return _refusal(request.number, error, robot)
+            known = self._here.get(robot)
+            return _refusal(request.number, error, None if known is None else known.epoch)
 
-    def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: FleetCommand) -> FleetAnswer:
-        velocity = request.wanted
-        if robot.also_at and not velocity.is_zero:
-            raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
+    def _drive(self, neighbour: Neighbour, request: FleetCommand) -> FleetAnswer:
         if neighbour.is_silent:  # it has sent nothing by which its clock is known
-            raise DeviceGone(robot.name, "the daemons have just met; try again")
+            raise DeviceGone(request.robot, "the daemons have just met; try again")
         received_s = loop_time_s() - neighbour.freshness.late_s(request.sent_s, loop_time_s())
-        participant = self._participant(neighbour, request.owner, request.owner_name)
-        limited = participant.drive(
-            robot,
-            velocity,
+        limited = self._here.drive(
+            self._participant(neighbour, request.owner, request.owner_name),
+            request.robot,
+            request.wanted,
             priority=request.priority,
             received_s=received_s,
             epoch=request.epoch,
             take_over=request.take_over,
         )
-        return FleetAnswer(number=request.number, velocity=limited.twist, epoch=robot.admission.epoch)
+        known = self._here.get(request.robot)
+        epoch = None if known is None else known.epoch
+        return FleetAnswer(number=request.number, velocity=limited.twist, epoch=epoch)
+
+    def _message(self, robot: str) -> RobotMessage:
+        return message_of(self._here.state(robot))
 
     def _stop(self, neighbour: Neighbour, request: StopRequest) -> FleetAnswer:
         name, by = request.robot, printable(neighbour.sender.name)
-        robots = [robot for robot in self._hub.robots.here() if name in (None, robot.name)]
+        robots = [robot for robot in self._here.all() if name in (None, robot.name)]
         is_repeated = request.number in neighbour.stops
         if is_repeated:  # its answer was lost; obeying again could end what began since
             return self._stopped(request, robots)
         if robots or name is None:  # a robot that is not here yet is stopped or locked once it is
             neighbour.stops.append(request.number)
-        if isinstance(request, Lock):
-            reason = f"{request.reason} ({neighbour.sender.name})"
-            if name is None:
-                self._hub.robots.lock_all_here(reason, by=by)
+            if isinstance(request, Lock):
+                self._here.lock(name, f"{request.reason} ({neighbour.sender.name})", by=by)
             else:
-                for robot in robots:
-                    robot.lock_here(reason, by=by)
-        elif name is None:
-            self._hub.robots.stop_all_here(by=by)
-        else:
-            for robot in robots:
-                robot.stop_here(by=by)
+                self._here.stop(name, by=by)
         return self._stopped(request, robots)
 
-    def _stopped(self, request: StopRequest, robots: list[LocalRobot]) -> FleetAnswer:
+    def _stopped(self, request: StopRequest, robots: list[RobotHere]) -> FleetAnswer:
         """Return the answer to a stop or a lock that was obeyed."""
-        if request.robot is None:
-            found = self._hub.robots.endpoints()
-        else:
-            found = [each for robot in robots for each in robot.unguarded_endpoints]
+        found = self._here.endpoints(request.robot) if robots or request.robot is None else []
         found.sort(key=lambda each: not each.reason)  # those first that could not be sent a zero
         boards = tuple(map(BoardTopic.of, found[:MAX_BOARD_TOPICS]))
-        shared = [robot for robot in robots if is_shareable(robot)][:MAX_ROBOTS]
-        return FleetAnswer(number=request.number, robots=tuple(map(state_of, shared)), boards=boards)
+        shared = [robot.name for robot in robots if is_shareable(robot.name)][:MAX_ROBOTS]
+        return FleetAnswer(number=request.number, robots=tuple(map(self._message, shared)), boards=boards)
 
     def _check_role(self, neighbour: Neighbour, what: str) -> None:
         name = neighbour.sender.name
@@ -212,7 +200,7 @@ class FleetDrivers:
         driver = drivers.pop(number, None)
         if driver is None or driver.participant.has_left:
             who = f"{printable(name)} at {printable(neighbour.sender.name)}"
-            driver = _FleetDriver(self._hub.join(who, group=GROUP), 0.0)
+            driver = _FleetDriver(self._host.join(who, group=GROUP), 0.0)
         driver.commanded_at_s = loop_time_s()
         drivers[number] = driver
         if len(drivers) > MAX_DRIVERS:
@@ -221,10 +209,9 @@ class FleetDrivers:
         return driver.participant
 
 
-def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None) -> FleetAnswer:
+def _refusal(number: int, error: HostlinkError, epoch: int | None) -> FleetAnswer:
     holder = error.holder if isinstance(error, CommandRefused) else None
     owner = None if holder is None else str(holder)
-    epoch = None if robot is None else robot.admission.epoch
     return FleetAnswer(number=number, error=error.kind, reason=str(error)[:512], owner=owner, epoch=epoch)
 
 
@@ -259,20 +246,21 @@ class _Command:
         return Twist(*(self.answer.velocity or ())).planar
 
 
-class FleetRequests:
-    """Implementation of RobotHosts. A command is sent to the daemon of the robot, a stop or a lock to all."""
+class FleetRequests(RobotProvider):
+    """Robots of other daemons. A command is sent to the daemon of the robot, a stop or a lock to all."""
 
-    def __init__(self, transport: FleetTransport, roster: FleetRoster) -> None:
-        self._transport, self._roster = transport, roster
-        self._numbers = itertools.count(1)
+    def __init__(
+        self, transport: FleetTransport, roster: FleetRoster, orders: FleetOrders, numbers: "itertools.count[int]"
+    ) -> None:
+        """`orders` may have some of an earlier run; their `numbers` are not used again."""
+        self._transport, self._roster, self._orders, self._numbers = transport, roster, orders, numbers
         self._owner_numbers = itertools.count(1)
         self._owners: dict[Hashable, int] = {}
         self._newest: dict[tuple[Hashable, str], _Command] = {}
         self._waiting: dict[int, _Command] = {}
-        self._orders = FleetOrders(roster)
         self.show: Callable[[Iterable[str]], None] = lambda _: None  # called with the robots whose lock has changed
 
-    # -- RobotHosts ---------------------------------------------------------------------------------------------------
+    # -- RobotProvider ------------------------------------------------------------------------------------------------
 
     def drive(
         self,
@@ -424,9 +412,7 @@ class FleetRequests:
         if command is not None and sender == command.neighbour.sender:
             del self._waiting[answer.number]
             command.answer = answer
-            command.robot.note_epoch(answer.epoch, lock_reason=command.robot.admission.lock_reason)
-            if answer.error:
-                command.robot.admission.end_drives(command.owner)  # it keeps the robot from no driver here
+            command.robot.note_answer(command.owner, answer.epoch, is_refused=bool(answer.error))
             command.is_answered.set()
             return None
         order = self._orders.receive(neighbour.sender, answer)

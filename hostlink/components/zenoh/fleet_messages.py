@@ -3,7 +3,6 @@
 A key begins with the verb and holds the sender's name, so that Zenoh's access rules can say who may do what.
 """
 
-import asyncio
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -13,8 +12,7 @@ from typing import Annotated, NamedTuple, TypeVar
 import msgspec
 
 from hostlink.components.zenoh.session import ZenohSession
-from hostlink.core.hub.device import CommandEndpoint
-from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.host import CommandEndpoint
 from hostlink.core.robot.kinematics import Pose
 from hostlink.core.robot.odometry import OdometrySnapshot
 from hostlink.core.robot.state import Priority, RobotName, RobotState, Text, TopicName, TypeName
@@ -359,19 +357,19 @@ class FleetTransport:
             return None
 
 
-def is_shareable(robot: LocalRobot) -> bool:
-    """Whether other daemons can know it by its name."""
-    return re.fullmatch(r"\w{1,64}", robot.name, re.ASCII) is not None
+def is_shareable(robot: str) -> bool:
+    """Whether other daemons can know a robot by its name."""
+    return re.fullmatch(r"\w{1,64}", robot, re.ASCII) is not None
 
 
-def fleet_name(robot: LocalRobot, topic: str) -> str:
+def fleet_name(robot: str, topic: str) -> str:
     """A topic of a robot as other daemons know it: below the robot's name."""
-    return topic if topic.startswith(f"/{robot.name}/") else f"/{robot.name}{topic}"
+    return topic if topic.startswith(f"/{robot}/") else f"/{robot}{topic}"
 
 
-def state_of(robot: LocalRobot) -> RobotMessage:
+def message_of(state: RobotState) -> RobotMessage:
     """A robot as other daemons receive it: its topics below its name, without what concerns this daemon alone."""
-    state = robot.state(asyncio.get_running_loop().time())
+    robot = state.name
     shared = msgspec.structs.replace(
         state,
         also_at=(),

@@ -14,7 +14,7 @@ import msgspec
 
 from hostlink.components.zenoh.fleet_messages import FleetAnswer, Lock, Sender, Stop, StopRequest, Unlock
 from hostlink.components.zenoh.roster import FleetRoster
-from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.host import CommandEndpoint
 from hostlink.core.runtime.logs import printable
 
 ANSWER_TIMEOUT_S = 0.5  # as long as a command lasts
@@ -106,6 +106,12 @@ class FleetOrders:
     def greet(self, now_s: float) -> None:
         """A daemon has appeared: repeat all orders eagerly."""
         self._eager_until_s = now_s + EAGER_S
+
+    def end(self) -> None:
+        """The fleet ends here, and may be started again: what was not answered is repeated then, except an unlock."""
+        self._orders = {number: each for number, each in self._orders.items() if not isinstance(each.request, Unlock)}
+        for each in self._orders.values():
+            each.is_overdue = True
 
     def fresh(self) -> list[Order]:
         """Return the orders for whose answers a caller waits."""

@@ -4,8 +4,6 @@ A message is sent while the other end subscribes to it. Topics are shared below 
 another name gets one below it.
 """
 
-import asyncio
-
 from hostlink.components.graphs.hub_source import HubSource
 from hostlink.components.zenoh.fleet_commands import FleetDrivers
 from hostlink.components.zenoh.fleet_messages import (
@@ -21,13 +19,17 @@ from hostlink.components.zenoh.fleet_messages import (
 )
 from hostlink.components.zenoh.roster import FleetRoster, Neighbour
 from hostlink.components.zenoh.session import Declaration, Query, ZenohSample
-from hostlink.core.hub.graph_view import GraphTopic
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.message import Message
-from hostlink.core.hub.node import Role
-from hostlink.core.hub.participant import MAX_ADVERTISED, Participant
-from hostlink.core.hub.robot import RemoteRobot
-from hostlink.core.hub.subscription import Subscription
+from hostlink.core.host import (
+    MAX_ADVERTISED,
+    GraphTopic,
+    Host,
+    Message,
+    Participant,
+    RemoteRobot,
+    RemoteRobots,
+    Role,
+    Subscription,
+)
 from hostlink.core.mirror.log_once import LogOnce
 from hostlink.core.mirror.mirror import Mirror
 from hostlink.errors import HostlinkError
@@ -42,7 +44,7 @@ MAX_MESSAGE_BYTES = 64 * 1024  # what a device sends is much smaller
 class _Export:
     """A topic here that others may subscribe to."""
 
-    def __init__(self, hub: Hub, transport: FleetTransport, name: str, exported: tuple[str, str]) -> None:
+    def __init__(self, host: Host, transport: FleetTransport, name: str, exported: tuple[str, str]) -> None:
         """`name`: as others know it; `exported`: the robot, and the topic's name here.
 
         Raises:
@@ -52,7 +54,7 @@ class _Export:
         key = transport.key("out", name.strip("/"))
         self._publisher = transport.session.declare_publisher(key)
         self._source = HubSource(
-            lambda: hub.join(f"fleet {robot}", group=GROUP),
+            lambda: host.join(f"fleet {robot}", group=GROUP),
             topic,
             lambda message: self._publisher.put(message.payload),
             lambda _: transport.counts.update(("refused",)),
@@ -103,11 +105,18 @@ class _RemoteTopics:
     """The topics of one robot of another daemon."""
 
     def __init__(
-        self, hub: Hub, transport: FleetTransport, log_once: LogOnce, robot: str, neighbour: Neighbour
+        self,
+        host: Host,
+        transport: FleetTransport,
+        robots: RemoteRobots,
+        log_once: LogOnce,
+        robot: str,
+        neighbour: Neighbour,
     ) -> None:
         self.listed: list[FleetTopic] = []
-        self._hub, self._transport, self._log_once, self._neighbour = hub, transport, log_once, neighbour
-        self._participant = hub.join(f"{robot} at {neighbour.sender.name}", group=GROUP)
+        self._host, self._transport, self._log_once, self._neighbour = host, transport, log_once, neighbour
+        self._robots, self._robot = robots, robot
+        self._participant = host.join(f"{robot} at {neighbour.sender.name}", group=GROUP)
         self._shown: dict[str, FleetTopic] = {}
         self._imports = Mirror[str, FleetTopic, _Import](
             lambda _, topic: _Import(transport, neighbour, self._participant, topic),
@@ -153,14 +162,14 @@ class _RemoteTopics:
 
     def _is_read(self, topic: str) -> bool:
         """Whether a velocity topic of another daemon's robot has subscribers here, apart from the robot itself."""
-        known = self._hub.topics.find_or_none(topic)
-        return known is not None and bool(known.subscribers)
+        robot = self._robots.get(self._robot)
+        return robot is not None and robot.is_read(topic)
 
     def _deliver_velocity(self, topic: str, payload: bytes) -> None:
         """Deliver what the other daemon's gate sent to the device to the subscribers here."""
-        known = self._hub.topics.find_or_none(topic)
-        if known is not None:
-            known.deliver(payload, source=self, at_s=asyncio.get_running_loop().time())
+        robot = self._robots.get(self._robot)
+        if robot is not None:
+            robot.show(topic, payload)
 
     def _deliver(self, topic: str, payload: bytes) -> None:
         try:
@@ -169,20 +178,20 @@ class _RemoteTopics:
             self._transport.counts["refused"] += 1
 
     def _refuse(self, topic: str, error: Exception) -> None:
-        note_failure(self._hub, self._transport, "refused_topics", topic, error)
+        note_failure(self._host, self._transport, "refused_topics", topic, error)
         if isinstance(error, HostlinkError):
             self._log_once("fleet.topic_refused", topic=topic, reason=str(error))
 
     def _fail(self, topic: str, error: Exception) -> None:
-        note_failure(self._hub, self._transport, "failed_topics", topic, error)
+        note_failure(self._host, self._transport, "failed_topics", topic, error)
 
 
-def note_failure(hub: Hub, transport: FleetTransport, cause: str, name: str, error: Exception) -> None:
+def note_failure(host: Host, transport: FleetTransport, cause: str, name: str, error: Exception) -> None:
     """Count a refusal; any other error is a fault of hostlink."""
     if isinstance(error, HostlinkError):
         transport.counts[cause] += 1
     else:
-        hub.isolation.crashed("graph", error, graph="fleet", name=name)
+        host.crashed("graph", error, graph="fleet", name=name)
 
 
 class FleetTopics:
@@ -191,18 +200,26 @@ class FleetTopics:
     A daemon's list is fetched again when the number in its state has changed.
     """
 
-    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: FleetRoster) -> None:
+    def __init__(
+        self,
+        host: Host,
+        transport: FleetTransport,
+        robots: RemoteRobots,
+        drivers: FleetDrivers,
+        roster: FleetRoster,
+    ) -> None:
+        """`robots`: those of other daemons."""
         self.number = 0  # of the list of the topics here, another one after each change
-        self._hub, self._transport, self._drivers, self._roster = hub, transport, drivers, roster
-        self._participant = hub.join("fleet", role=Role.READ, group=GROUP)
+        self._host, self._transport, self._drivers, self._roster = host, transport, drivers, roster
+        self._participant = host.join("fleet", role=Role.READ, group=GROUP)
         self._exports = Mirror[str, tuple[str, str], _Export](
-            lambda name, exported: _Export(hub, transport, name, exported), self._fail, slice_s=SLICE_S
+            lambda name, exported: _Export(host, transport, name, exported), self._fail, slice_s=SLICE_S
         )
         self._here: dict[str, tuple[FleetTopic, str]] = {}  # with their names here, by the name that others know
         self._list: bytes | None = None  # encoded answer; None: not requested since the last change
         log_once = LogOnce(by=("topic",))
         self._remote = Mirror[str, Neighbour, _RemoteTopics](  # by robot
-            lambda robot, neighbour: _RemoteTopics(hub, transport, log_once, robot, neighbour), self._fail
+            lambda robot, neighbour: _RemoteTopics(host, transport, robots, log_once, robot, neighbour), self._fail
         )
         self._fetching: set[str] = set()
 
@@ -221,7 +238,7 @@ class FleetTopics:
         self._demand(topics)
 
     def _fail(self, name: str, error: Exception) -> None:
-        note_failure(self._hub, self._transport, "failed_topics", name, error)
+        note_failure(self._host, self._transport, "failed_topics", name, error)
 
     # -- of the robots here -------------------------------------------------------------------------------------------
 
@@ -263,26 +280,21 @@ class FleetTopics:
         )
 
     def _find(self, topics: tuple[GraphTopic, ...]) -> dict[str, tuple[FleetTopic, str]]:
-        robots = {robot.name: robot for robot in self._hub.robots.here() if is_shareable(robot)}
-        own = {
-            name: robot
-            for robot in robots.values()
-            for name in (*(each.name for each in robot.shown.commands), robot.shown.odometry, robot.shown.reset)
-            if name is not None
-        }
+        robots = {robot.name: robot for robot in self._host.here.all() if is_shareable(robot.name)}
+        own = {topic: robot for robot in robots.values() for topic in robot.topics}
         found = {}
         for topic in topics:
             robot = robots.get(topic.name.split("/")[1]) if topic.name.count("/") > 1 else None
             robot = robot or own.get(topic.name)
             is_there = robot is not None and (robot.link is not None or topic.is_velocity)
             if robot is not None and is_there and topic.type_name:
-                name = fleet_name(robot, topic.name)
+                name = fleet_name(robot.name, topic.name)
                 state = FleetTopic(
                     robot=robot.name,
                     name=name,
                     type=topic.type_name,
                     is_published=topic.is_published,
-                    is_subscribed=bool(self._hub.topics.find(topic.name).devices),
+                    is_subscribed=topic.has_device,
                     is_velocity=topic.is_velocity,
                 )
                 found[name] = (state, topic.name)

@@ -34,11 +34,8 @@ from hostlink.components.zenoh.rmw_protocol import (
     is_hidden,
 )
 from hostlink.components.zenoh.session import Declaration, Query, Token, ZenohSample, ZenohSession
-from hostlink.core.config import ZenohConfig
-from hostlink.core.hub.graph_view import GraphService, GraphTopic
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.message import Message
-from hostlink.core.hub.participant import Participant
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.host import GraphService, GraphTopic, Host, Message, Participant
 from hostlink.core.messages.message_type import ServiceType
 from hostlink.core.mirror.log_once import LogOnce
 from hostlink.core.mirror.mirror import Mirror
@@ -58,7 +55,7 @@ CALL_TIMEOUT_S = 30.0  # of a service of ROS 2
 class RmwNode:
     """Node of this daemon in ROS 2, which its endpoints share. `counts`: losses by cause."""
 
-    hub: Hub
+    host: Host
     session: ZenohSession
     types: Ros2Types
     token: NodeToken
@@ -114,7 +111,7 @@ class RmwPublication:
         self._endpoint = RmwEndpoint(node, TokenKind.PUBLISHER, topic.topic, topic.type, qos)
         self._publisher = node.session.declare_publisher(self._endpoint.key, kept=1 if topic.is_latched else 0)
         self._source = HubSource(
-            lambda: node.hub.join(f"ros2 {topic.topic}", group=GROUP),
+            lambda: node.host.join(f"ros2 {topic.topic}", group=GROUP),
             topic.topic,
             self._receive,
             lambda _: node.counts.update(("failed_endpoints",)),
@@ -164,7 +161,7 @@ class OfferedService:
         """
         self._node, self._name, self._known, self._type = node, offered.name, offered.known, offered.type
         self._calls: Counter[bytes] = Counter()
-        self._participant = node.hub.join(f"ros2 {self._name}", group=GROUP)
+        self._participant = node.host.join(f"ros2 {self._name}", group=GROUP)
         self._endpoint = RmwEndpoint(node, TokenKind.SERVER, self._name, self._type, Qos())
         self._queryable = node.session.serve(self._endpoint.key, self._receive)
 
@@ -181,15 +178,16 @@ class OfferedService:
             query.close()
             return
         self._calls[attachment.gid] += 1
-        self._node.hub.spawn(self._answer(query, attachment), name=f"ros2 {self._name}")
+        self._node.host.spawn(self._answer(query, attachment), name=f"ros2 {self._name}")
 
     async def _answer(self, query: Query, attachment: Attachment) -> None:
         try:
-            answer = await self._call(query.payload)
-            if answer is not None:
-                signed = attachment._replace(source_ns=time.time_ns()).encode()
-                query.reply(answer, key=self._endpoint.key, attachment=signed)
-                self._node.counts["calls_from_ros2"] += 1
+            with self._node.host.around("task", task=f"ros2 {self._name}"):
+                answer = await self._call(query.payload)
+                if answer is not None:
+                    signed = attachment._replace(source_ns=time.time_ns()).encode()
+                    query.reply(answer, key=self._endpoint.key, attachment=signed)
+                    self._node.counts["calls_from_ros2"] += 1
         finally:
             query.close()
             self._calls -= Counter((attachment.gid,))  # without those that have none left
@@ -226,7 +224,7 @@ class CalledService:
             BadRequest: the name is the daemon's own.
         """
         self._node, self._name, self._known, self._type = node, token.name, known, type_
-        self._participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP)
+        self._participant: Participant = node.host.join(f"ros2 {token.node.full_name}", group=GROUP)
         self._endpoint = RmwEndpoint(node, TokenKind.CLIENT, token.name, type_, Qos())
         try:
             self._participant.provide(token.name, known.name, self._answer)
@@ -278,7 +276,7 @@ class RmwPublisher:
         self.token = token
         self.clock = SourceClock()
         self.motion = EarlierMotion()
-        self.participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP, on_end=leave)
+        self.participant: Participant = node.host.join(f"ros2 {token.node.full_name}", group=GROUP, on_end=leave)
         self._node, self._log_once = node, log_once
         self._is_advertised = False
         self._refusals = Budget()
@@ -314,7 +312,7 @@ class RmwPublisher:
                 by, reason = printable(self.participant.name), printable(str(error), 200)
                 log.warning("ros2.refused", topic=topic, by=by, kind=error.kind, reason=reason, **counts)
                 node = self._node.token.full_name
-                self._node.hub.rosout.warn(node, f"{topic} of {by} is refused ({error.kind}): {reason}")
+                self._node.host.warn(node, f"{topic} of {by} is refused ({error.kind}): {reason}")
 
 
 class _Token(NamedTuple):
@@ -335,7 +333,7 @@ class Publishers:
         self._began_s = asyncio.get_running_loop().time()
         self._publishers = Mirror[str, _Token, RmwPublisher](
             self._open,
-            lambda _, error: node.hub.isolation.crashed("graph", error, graph="ros2"),
+            lambda _, error: node.host.crashed("graph", error, graph="ros2"),
             limit=MAX_PUBLISHERS,
             group_of=session_of,
             group_limit=MAX_PUBLISHERS_OF_SESSION,
@@ -384,9 +382,10 @@ class Publishers:
         if publisher is None:
             self._node.counts["unidentified"] += 1
             return
-        now_s = asyncio.get_running_loop().time()
+        host = self._node.host
+        now_s = host.now_s
         late_s = publisher.clock.late_s(attachment.sequence_number, attachment.source_ns, now_s)
-        epoch = publisher.motion.pop_epoch(self._node.hub.gates.came_s(now_s))
+        epoch = publisher.motion.pop_epoch(host.came_s(now_s))
         if attachment.sequence_number <= FIRST_NUMBER:
             epoch = None  # it is the first that it has ever sent
         publisher.publish(topic, payload, received_s=now_s - late_s, epoch=epoch)
@@ -502,13 +501,13 @@ class UnusableType(Exception):
 class RmwBridge:
     """Keeps both graphs equal while the session lives. `counts`: messages both ways, and what was lost by cause."""
 
-    def __init__(self, hub: Hub, session: ZenohSession, types: Ros2Types, token: NodeToken) -> None:
+    def __init__(self, host: Host, session: ZenohSession, types: Ros2Types, token: NodeToken) -> None:
         """`token`: of the node that this daemon is.
 
         Raises:
             ConfigError: the session is closed.
         """
-        self._node = RmwNode(hub, session, types, token)
+        self._node = RmwNode(host, session, types, token)
         self.counts = self._node.counts
         self._log_once = LogOnce(self.counts, at_info=(UNKNOWN,), by=("name", "type"))
         self._remote = RemoteGraph(token.domain, self.counts)
@@ -522,7 +521,7 @@ class RmwBridge:
             limit=MAX_CALLED_SERVICES,
             on_crowded=lambda _: self.counts.update(("crowded_services",)),
         )
-        self._participant = hub.join("ros2", group=GROUP)
+        self._participant = host.join("ros2", group=GROUP)
         self._declared = [
             session.declare_token(token.encode()),
             session.subscribe_tokens(f"{SPACE}/{token.domain}/**", self._receive_token),
@@ -576,7 +575,7 @@ class RmwBridge:
 
     def _call(self, token: EndpointToken) -> CalledService:
         name = ros1_type(token.type_name)
-        known, type_ = self._node.hub.catalog.service(name), self._node.types.service(name)
+        known, type_ = self._node.host.messages.service(name), self._node.types.service(name)
         if known is None or type_ is None:
             self._log_once(UNKNOWN, name=token.type_name, service=token.name)
             raise UnusableType(token.type_name)
@@ -596,7 +595,7 @@ class RmwBridge:
         if isinstance(error, HostlinkError):
             self.counts["failed_endpoints"] += 1
         else:
-            self._node.hub.isolation.crashed("graph", error, graph="ros2")
+            self._node.host.crashed("graph", error, graph="ros2")
 
     # -- from the hub -------------------------------------------------------------------------------------------------
 
@@ -654,10 +653,7 @@ class RmwBridge:
 
     def _is_shown(self, name: str, refused: str) -> bool:
         """Whether a name can exist in ROS 2, else `refused` is logged; another daemon shows those of its robots."""
-        robot = name.split("/")[1]
-        remote = self._node.hub.robots.remote.get(robot)
-        is_elsewhere = remote is not None and self._node.hub.robots.find(robot) is remote
-        if is_hidden(name) or is_elsewhere:
+        if is_hidden(name) or self._node.host.is_remote(name.split("/")[1]):
             return False
         if not is_ros2_name(name):
             self._log_once(refused, name=name, reason=REFUSED_NAME)
@@ -666,7 +662,7 @@ class RmwBridge:
     def _service(self, service: GraphService) -> ServiceSpec | None:
         if not self._is_shown(service.name, "ros2.service_refused"):
             return None
-        known, found = self._node.hub.catalog.service(service.type_name), self._node.types.service(service.type_name)
+        known, found = self._node.host.messages.service(service.type_name), self._node.types.service(service.type_name)
         if known is None or found is None:
             self._log_once(UNKNOWN, name=service.type_name, service=service.name)
             return None
@@ -674,17 +670,17 @@ class RmwBridge:
 
 
 @contextlib.asynccontextmanager
-async def ros2_bridged(hub: Hub, session: ZenohSession, config: ZenohConfig) -> AsyncIterator[RmwBridge]:
+async def ros2_bridged(host: Host, session: ZenohSession, config: ZenohSettings) -> AsyncIterator[RmwBridge]:
     """Be a node of the ROS 2 graph for the length of the block.
 
     Raises:
         ConfigError: the session is closed.
     """
-    types = await asyncio.to_thread(Ros2Types, hub.catalog, config.ros_distribution)
+    types = await asyncio.to_thread(Ros2Types, host.messages, config.ros_distribution)
     name = re.sub(r"\W", "_", config.name or socket.gethostname(), flags=re.ASCII)
     token = NodeToken(config.ros_domain_id, session.zid, 0, "/", f"hostlink_{name}", OWN_ENCLAVE)
-    bridge = RmwBridge(hub, session, types, token)
-    hub.counts.components["ros2"] = lambda: bridge.counts
+    bridge = RmwBridge(host, session, types, token)
+    host.count_by(lambda: bridge.counts, part="ros2")
     log.info("ros2.joined", node=token.full_name, domain=token.domain, distribution=config.ros_distribution)
     try:
         async with asyncio.TaskGroup() as tasks:

@@ -134,6 +134,15 @@ class FleetRoster:
         self._gone[zid] = neighbour
         return set(neighbour.robots) | self.forget(now_s)
 
+    def leave_all(self, now_s: float) -> None:
+        """The fleet ends here: all daemons are out of sight."""
+        for zid in list(self._neighbours):
+            self.leave(zid, now_s)
+
+    def names(self) -> list[str]:
+        """Return the names of all known robots."""
+        return list(self._by_name)
+
     def forget(self, now_s: float) -> set[str]:
         """Forget who has been gone for long, or before many others."""
         touched: set[str] = set()

@@ -6,20 +6,21 @@ import functools
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import structlog
 
 from hostlink.components.zenoh.lingering import SWEEP_INTERVAL_S, end_lingering, shut_down
-from hostlink.components.zenoh.settings import library, reach_of, reason_of, settings_of
-from hostlink.core.config import ZenohConfig
-from hostlink.core.hub.isolation import Isolation
+from hostlink.components.zenoh.settings import ZenohSettings, library, reach_of, reason_of, settings_of
 from hostlink.core.mirror.inbox import MAX_WAITING, ThreadInbox
 from hostlink.core.runtime.logs import printable
 from hostlink.errors import ConfigError
 
 log = structlog.get_logger()
+
+Around = Callable[..., AbstractContextManager[None]]  # as `Host.around`: a failure of a callback is logged and counted
 
 CLOSE_TIMEOUT_S = 1.0
 MAX_PAYLOAD_BYTES = 1024 * 1024
@@ -98,13 +99,13 @@ class ZenohSession:
     """One Zenoh session. Its methods are called in the loop, wait for nothing, and do not raise what Zenoh raises.
 
     `counts`: `links` that were opened, `dropped` and `oversized` of what came, `failed` calls of Zenoh; what `receive`
-    callbacks raise is passed to the hub's isolation.
+    callbacks raise is passed to `around`.
     """
 
-    def __init__(self, zenoh: Any, session: Any, isolation: Isolation) -> None:
+    def __init__(self, zenoh: Any, session: Any, around: Around) -> None:
         self.counts: Counter[str] = Counter()
         self.zid = str(session.info.zid())
-        self._zenoh, self._session, self._isolation = zenoh, session, isolation
+        self._zenoh, self._session, self._around = zenoh, session, around
         self._is_closed = False
         self._thread = ThreadPoolExecutor(1, "zenoh")  # for answers
 
@@ -301,7 +302,7 @@ class ZenohSession:
         """A queue from Zenoh's threads to the loop."""
         return ThreadInbox(
             deliver,
-            guarded=lambda: self._isolation.around("graph", graph="zenoh"),
+            guarded=lambda: self._around("graph", graph="zenoh"),
             counts=self.counts,
             max_waiting=max_waiting,
             needed=needed,
@@ -393,7 +394,7 @@ def _declare_history_subscriber(session: Any, key: str, callback: Any, *, allowe
 
 
 @contextlib.asynccontextmanager
-async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[ZenohSession]:
+async def opened(config: ZenohSettings, around: Around) -> AsyncIterator[ZenohSession]:
     """A session for the length of the block.
 
     Raises:
@@ -404,7 +405,7 @@ async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Zen
         raw = await asyncio.to_thread(lambda: zenoh.open(settings))
     except (zenoh.ZError, ValueError) as error:
         raise ConfigError("zenoh", f"the session cannot be opened: {reason_of(error)}") from error
-    session = ZenohSession(zenoh, raw, isolation)
+    session = ZenohSession(zenoh, raw, around)
     log.info("zenoh.opened", zid=session.zid, mode=config.mode, reach="; ".join(reach_of(settings, config)))
     try:
         yield session

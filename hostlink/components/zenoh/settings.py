@@ -11,12 +11,54 @@ import json
 import re
 import ssl
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from hostlink.core.config import ZenohConfig
 from hostlink.core.runtime.logs import printable
 from hostlink.errors import ConfigError, LibraryMissing
+
+MAX_ROS_DOMAIN_ID = 232
+ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # part of a Zenoh key
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenohSettings:
+    """The table [zenoh]: session of the daemon, for the fleet and for ROS 2 over rmw_zenoh's protocol."""
+
+    fleet: bool = True  # share robots with other daemons: show and drive theirs, and offer one's own
+    ros2: bool = False  # join a ROS 2 graph whose nodes use rmw_zenoh
+    ros_domain_id: int = 0
+    ros_distribution: Literal["humble", "iron", "jazzy", "kilted", "lyrical"] = "kilted"  # distribution of those nodes
+    name: str = ""  # name of this daemon in the fleet; empty: the computer's name
+    fleet_name: str = "hostlink"  # first part of every key; daemons with another name form another fleet
+    drivers: tuple[str, ...] = ("*",)  # daemons whose programs may drive this daemon's robots; others may read and stop
+    mode: Literal["peer", "client", "router"] = "peer"
+    connect: tuple[str, ...] = ()  # "tls/10.0.0.2:7447"; without `ca` peers in the local network also find each other
+    # "tls/0.0.0.0:7447"; empty: with `ca` not at all, otherwise a free port on every address.
+    listen: tuple[str, ...] = ()
+    multicast: bool | None = None  # discovery in the local network, never with `ca`; None: only without `ca`
+    gossip: bool | None = None  # connect to daemons that neighbours announce; None: only without `ca`
+    ca: Path | None = None  # PEM; with `certificate` and `key`: only mutual TLS
+    certificate: Path | None = None
+    key: Path | None = None
+    file: Path | None = None  # JSON5 configuration of Zenoh for all other settings: access rules, leases
+
+    def __post_init__(self) -> None:
+        for setting, name in (("name", self.name), ("fleet_name", self.fleet_name)):
+            if name and not re.fullmatch(ZENOH_NAME, name):
+                raise ValueError(f"zenoh.{setting} {name!r} must be made of letters, digits, _, - and .")
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("set zenoh.certificate and zenoh.key together")
+        if self.certificate is not None and self.ca is None:
+            raise ValueError(
+                "zenoh.certificate needs zenoh.ca; without it other daemons are not asked for a certificate"
+            )
+        if not 0 <= self.ros_domain_id <= MAX_ROS_DOMAIN_ID:
+            raise ValueError(f"zenoh.ros_domain_id must be 0 to {MAX_ROS_DOMAIN_ID}")
+        if not self.fleet_name:
+            raise ValueError("zenoh.fleet_name must not be empty")
+
 
 PREFIX = "hostlink "  # of the ids of these rules
 _SHOWS = ("alive", "state", "live", "out", "stop", "answer")  # what every member of the fleet puts
@@ -34,7 +76,7 @@ _MESSAGES = (*_PUT, "query", *_DECLARES)
 _EVERY_KEY = ("**", "@ros2_lv/**", "**/@adv/**")  # `**` alone matches no part that begins with @
 
 
-def access_rules(config: ZenohConfig) -> dict[str, Any]:
+def access_rules(config: ZenohSettings) -> dict[str, Any]:
     """Return the access rules: what a driver's certificate may send, and what other certificates may.
 
     A driver sends velocities and messages for devices under its own name alone. Other daemons read, stop and
@@ -111,7 +153,7 @@ def library() -> Any:
     return zenoh
 
 
-def settings_of(config: ZenohConfig) -> Any:
+def settings_of(config: ZenohSettings) -> Any:
     """Zenoh's settings: those of the file, and [zenoh] over them; this project's defaults where the file has Zenoh's.
 
     Raises:
@@ -145,7 +187,7 @@ def is_secured(settings: Any) -> bool:
     return any(_value(settings, f"{TLS}/root_ca_certificate{kind}") is not None for kind in ("", "_base64"))
 
 
-def reach_of(settings: Any, config: ZenohConfig) -> Iterator[str]:
+def reach_of(settings: Any, config: ZenohSettings) -> Iterator[str]:
     """Yield the addresses of a session with these settings, and who can reach it and drive by it."""
     places, others = _endpoints(settings, "listen"), _endpoints(settings, "connect")
     yield f"listens on {', '.join(places) or 'nothing'}"
@@ -163,24 +205,24 @@ def reach_of(settings: Any, config: ZenohConfig) -> Iterator[str]:
         yield f"of them {', '.join(config.drivers) or 'none'} may drive, by the name in the certificate"
 
 
-def warnings_of(settings: Any, config: ZenohConfig) -> Iterator[str]:
+def warnings_of(settings: Any, config: ZenohSettings) -> Iterator[str]:
     """Yield the settings that may not be intended."""
     if not is_secured(settings):
         where = ", ".join((*_endpoints(settings, "listen"), *_endpoints(settings, "connect")))
         yield (
-            f"zenoh without certificates ({where}{_scouting(settings)}): everybody who reaches its port can drive the "
-            "robots; set zenoh.ca, certificate and key (docs/fleet.md)"
+            f"no certificates ({where}{_scouting(settings)}): everybody who reaches its port can drive the "
+            "robots; set ca, certificate and key (docs/fleet.md)"
         )
         if "*" not in config.drivers:
-            yield "zenoh.drivers without certificates keeps out nobody: a daemon has the name that it gives itself"
+            yield "drivers without certificates keeps out nobody: a daemon has the name that it gives itself"
     trouble = certificate_trouble(config)
     if trouble:
-        yield f"zenoh.certificate {config.certificate}: {trouble}; no daemon of the fleet lets this one in"
+        yield f"certificate {config.certificate}: {trouble}; no daemon of the fleet lets this one in"
     if _value(settings, "adminspace/enabled") and _value(settings, "adminspace/permissions/write"):
-        yield f"zenoh.file {config.file}: adminspace lets whoever is connected change the settings of this session"
+        yield f"file {config.file}: adminspace lets whoever is connected change the settings of this session"
 
 
-def certificate_trouble(config: ZenohConfig) -> str:
+def certificate_trouble(config: ZenohSettings) -> str:
     """Return why other daemons do not let this one in by its certificate; empty if they do.
 
     It is shown to itself, in memory: the key must be its own, the authority the one of `ca`, and the time right.
@@ -209,7 +251,7 @@ def certificate_trouble(config: ZenohConfig) -> str:
     return ""
 
 
-def _secure(settings: Any, usual: Any, config: ZenohConfig) -> None:
+def _secure(settings: Any, usual: Any, config: ZenohSettings) -> None:
     """Allow TLS only.
 
     Raises:
@@ -245,7 +287,7 @@ def _check_endpoints(settings: Any, *, has_certificate: bool) -> None:
         raise ConfigError("zenoh.listen", "needs zenoh.certificate and zenoh.key: who connects wants to see one")
 
 
-def _values(config: ZenohConfig) -> dict[str, Any]:
+def _values(config: ZenohSettings) -> dict[str, Any]:
     values: dict[str, Any] = {
         "mode": config.mode,
         "connect/exit_on_failure": False,
@@ -290,7 +332,7 @@ def _authority(settings: Any) -> str:
     return str(_value(settings, f"{TLS}/root_ca_certificate") or "the authority in the file")
 
 
-def _has_rules_of_file(settings: Any, config: ZenohConfig) -> bool:
+def _has_rules_of_file(settings: Any, config: ZenohSettings) -> bool:
     rules = _value(settings, "access_control/rules") or ()
     is_own = any(rule["id"].startswith(PREFIX) for rule in rules)
     return config.file is not None and bool(_value(settings, "access_control/enabled")) and not is_own

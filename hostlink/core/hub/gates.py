@@ -17,6 +17,7 @@ import structlog
 from hostlink.core.hub.isolation import Isolation
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.node import address_of
+from hostlink.core.hub.providers import Providers
 from hostlink.core.hub.robot_events import RobotEvents
 from hostlink.core.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.core.hub.topic import Topic
@@ -248,33 +249,6 @@ class LostEndpoint(NamedTuple):
     zero: bytes
 
 
-class RemoteHosts(Protocol):
-    """Interface to all other daemons of the fleet. Methods that are not coroutines do not wait."""
-
-    def release(self, owner: Hashable) -> None:
-        """Report that a source of commands has left."""
-        ...
-
-    def stop(self, name: str | None) -> None:
-        """Stop the robots of this name at all other daemons; None means every robot."""
-        ...
-
-    def lock(self, name: str | None, reason: str) -> None:
-        """Lock the robots of this name at all other daemons; None means every robot and every board."""
-        ...
-
-    def unlock_all(self) -> None:
-        """Unlock the boards of all other daemons that are locked, and the robots there that this one does not know."""
-        ...
-
-    async def settled(self) -> "list[CommandEndpoint]":
-        """Wait until every daemon has answered the stops, locks and unlocks so far.
-
-        Return their endpoints that command a motion and are not a robot's.
-        """
-        ...
-
-
 def _stop_call_of(connection: "Device") -> DeviceEndpoint | None:
     """Return the endpoint of the service that stops a device, by its robot's settings; None if it has none."""
     service = connection.stop_service
@@ -304,7 +278,7 @@ class Gates:
         """
         self.events = RobotEvents() if events is None else events
         self.is_closed = False  # the daemon ends and accepts no commands
-        self.hosts: RemoteHosts | None = None  # other daemons of the fleet
+        self.providers = Providers()  # of robots of other hosts
         self._isolation, self._guardian = isolation, guard
         self._driven = set[int]()  # links of the last beat to the guardian
         self._admissions: Counter[Admission] = Counter()  # registrations of all robots and attached drivables
@@ -367,11 +341,6 @@ class Gates:
         connection.stop_frames = []
         for other in connection.drivables:
             self._guard(other, connection)
-
-    def reach(self, hosts: RemoteHosts | None) -> None:
-        """Set the interface to the other daemons of the fleet; None if there is none."""
-        self.hosts = hosts
-        self._wake.set()
 
     def register(self, admission: Admission) -> None:
         """Register an admission: pauses of the process interrupt it, and sources that leave are withdrawn from it.
@@ -475,8 +444,7 @@ class Gates:
 
     def release(self, owner: Hashable) -> None:
         """Stop everything that a source drives, because it has left."""
-        if self.hosts is not None:
-            self.hosts.release(owner)
+        self.providers.release(owner)
         for admission in self._admissions:
             admission.withdraw(owner)
         self.let_go(list(self._active), owner, OWNER_LEFT)
@@ -524,14 +492,14 @@ class Gates:
                 self._step(drivable, now_s, is_news=True)
 
     async def settled(self) -> "list[CommandEndpoint]":
-        """Wait until other daemons have answered the stops, locks and unlocks so far.
+        """Wait until the providers of remote robots have answered the stops, locks and unlocks so far.
 
         Return their endpoints that command a motion and are not a robot's.
 
         Raises:
             DeviceGone: one of them has not answered.
         """
-        return [] if self.hosts is None else await self.hosts.settled()
+        return await self.providers.settled()
 
     def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
         """Send zero at once, without the limits. Devices that it does not fit are skipped."""

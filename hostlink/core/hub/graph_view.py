@@ -28,6 +28,7 @@ class GraphTopic:
     is_latched: bool
     is_velocity: bool  # its messages drive a robot
     is_derived: bool  # only hostlink publishes it, from messages of devices
+    has_device: bool = False  # a device subscribes to it
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +72,7 @@ def graph_topic(topic: Topic | None, group: str) -> GraphTopic | None:
         is_latched=any(key in topic.latched for key in publishers),
         is_velocity=topic.is_gated,
         is_derived=is_derived(topic),
+        has_device=bool(topic.devices),
     )
     return found if found.is_published or found.is_subscribed else None
 

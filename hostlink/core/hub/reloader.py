@@ -86,7 +86,9 @@ def _parts(part: Any) -> dict[str, Any] | None:
         return part
     if part is None or not dataclasses.is_dataclass(part):
         return None
-    return {field.name: getattr(part, field.name) for field in dataclasses.fields(part)}
+    found = {field.name: getattr(part, field.name) for field in dataclasses.fields(part)}
+    tables = found.pop("component_settings", {})  # each has a name of its own
+    return {**found, **tables}
 
 
 READ_TIMEOUT_S = 10.0  # 20,000 robots take 2 to 4 s on a busy machine; longer waits are for a disk or a network

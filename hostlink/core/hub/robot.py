@@ -1,26 +1,22 @@
-"""AnyRobot: interface of a robot. `LocalRobot` is connected to this daemon, `RemoteRobot` to another one."""
+"""AnyRobot: interface of a robot. `LocalRobot` is connected to this daemon; `remote_robot.py` has the other kind."""
 
 import dataclasses
 import functools
 import math
-import secrets
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Hashable, Iterable, Sequence, Set
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any
 
-import msgspec
 import structlog
 
 from hostlink.core.config import CalibrationConfig, FeedbackConfig, RobotConfig, ThrottleConfig, WheelsConfig
 from hostlink.core.diagnosis.motion_monitor import RECENT_S, Speed
-from hostlink.core.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
+from hostlink.core.hub.gates import Drivable, VelocityTarget
 from hostlink.core.hub.message import Message
-from hostlink.core.hub.node import Node, address_of
-from hostlink.core.hub.topic import DeviceSubscription
-from hostlink.core.hub.topic_graph import TopicGraph
+from hostlink.core.hub.node import address_of
 from hostlink.core.link.link import Link
-from hostlink.core.robot.admission import EPOCH_BITS, Admission, Command
+from hostlink.core.robot.admission import Command
 from hostlink.core.robot.command_types import (
     ACKERMANN_TYPES,
     JOINT_STATE_TYPE,
@@ -41,25 +37,26 @@ from hostlink.core.robot.command_types import (
     Words,
 )
 from hostlink.core.robot.events import EventKind
-from hostlink.core.robot.feedback import Feedback, FeedbackKind, FeedbackSettings
+from hostlink.core.robot.feedback import Feedback, FeedbackSettings
 from hostlink.core.robot.kinematics import SETTINGS as DIMENSIONS
 from hostlink.core.robot.kinematics import WHEELS_NEED, AckermannDrive, Drive, drive_of
 from hostlink.core.robot.model import CommandKind, CommandSettings, RobotTopicNames
 from hostlink.core.robot.names import SURE_S
-from hostlink.core.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, aged_rate_hz
+from hostlink.core.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot
 from hostlink.core.robot.readings import Flaw, OdometryReading
 from hostlink.core.robot.ros_messages import FrameIds
 from hostlink.core.robot.standstill import NO_ODOMETRY, OLD_S
-from hostlink.core.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
+from hostlink.core.robot.state import BatteryReading, RobotState, read_battery
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.robot.velocity_gate import Limits, VelocityGate
 from hostlink.core.robot.wheel_feedback import WheelSettings
 from hostlink.core.runtime.logs import printable
 from hostlink.core.runtime.loop_time import loop_time_s
-from hostlink.errors import BadPayload, CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
+from hostlink.errors import BadPayload, ConfigError
 
 if TYPE_CHECKING:
     from hostlink.core.hub.device import CommandEndpoint, Device
+    from hostlink.core.hub.remote_robot import RemoteLink, RemoteOdometry
 
 log = structlog.get_logger()
 
@@ -428,9 +425,6 @@ class AnyRobot(VelocityTarget):
         return None if self.link is None or odometry is None or odometry.age_s >= SURE_S else odometry
 
 
-# -- of this daemon ---------------------------------------------------------------------------------------------------
-
-
 @dataclass(eq=False, kw_only=True)
 class LocalRobot(Drivable, AnyRobot):
     """Robot of this daemon. It outlives its link: after a reconnection it continues with the same gate, at zero."""
@@ -530,8 +524,8 @@ class LocalRobot(Drivable, AnyRobot):
 
     def stop(self, *, by: str | None = None) -> None:
         """Stop the robot, and robots of its name at other daemons."""
-        if self.also_at and self.gates.hosts is not None:
-            self.gates.hosts.stop(self.name)
+        if self.also_at:
+            self.gates.providers.stop(self.name)
         self.stop_here(by=by)
 
     def stop_here(self, *, by: str | None = None) -> None:
@@ -543,8 +537,8 @@ class LocalRobot(Drivable, AnyRobot):
 
     def lock(self, reason: str = LOCK_REASON, *, by: str | None = None) -> None:
         """Lock the robot, and robots of its name at other daemons."""
-        if self.also_at and self.gates.hosts is not None:
-            self.gates.hosts.lock(self.name, shown_reason(reason))
+        if self.also_at:
+            self.gates.providers.lock(self.name, shown_reason(reason))
         self.lock_here(reason, by=by)
 
     def lock_here(self, reason: str, *, by: str | None = None) -> None:
@@ -588,7 +582,7 @@ class LocalRobot(Drivable, AnyRobot):
 
     def why_moving(self) -> str:
         """Return the reason why the robot moves after a stop."""
-        return _why_moving(
+        return reason_for_motion(
             is_played=self.is_played,
             drivers=(each.gate.owner_name for each in self.beside),
             unreachable=self.refusals.cause and f"its device cannot receive the stop: {self.refusals.cause}",
@@ -673,283 +667,14 @@ class LocalRobot(Drivable, AnyRobot):
         self.battery = read_battery(payload)
 
 
-# -- of another daemon ------------------------------------------------------------------------------------------------
-
-
-class RobotHosts(RemoteHosts, Protocol):
-    """Interface to the daemons of remote robots."""
-
-    def drive(
-        self,
-        robot: "RemoteRobot",
-        velocity: PlanarVelocity,
-        *,
-        owner: Hashable,
-        priority: int,
-        received_s: float,
-        epoch: int | None,
-        take_over: bool,
-    ) -> None:
-        """Send a command of a source, which lasts for a lease from `received_s` on.
-
-        Its refusal is raised by the next command, or by `answer`.
-        """
-        ...
-
-    def answer(self, robot: "RemoteRobot", owner: Hashable) -> Awaitable[PlanarVelocity]:
-        """Return the later answer to the newest command of a source until now: the velocity after the limits."""
-        ...
-
-    def unlock(self, robot: "RemoteRobot") -> None:
-        """Unlock a robot."""
-        ...
-
-
-class RemoteLink(NamedTuple):
-    """Connection of a device at another daemon. `number` is of this daemon, `own_number` of the other one."""
-
-    number: int
-    own_number: int
-
-
-class RemoteOdometry:
-    """Newest pose from another daemon, which sends all poses while they are read here."""
-
-    def __init__(self) -> None:
-        self.read_at_s = -math.inf
-        self.count = 0
-        self._newest: OdometrySnapshot | None = None
-        self._at_s = 0.0
-
-    def withdraw(self) -> None:
-        """Drop the newest pose: the other daemon has dropped it, too."""
-        self._newest = None
-
-    def update(self, newest: OdometrySnapshot, now_s: float) -> bool:
-        """Set the newest pose. Return whether it differs from the one before."""
-        is_new = self._newest is None or (newest.count, newest.restarts) != (self._newest.count, self._newest.restarts)
-        self._newest, self._at_s, self.count = newest, now_s, newest.count
-        return is_new
-
-    def snapshot(self, now_s: float) -> OdometrySnapshot | None:
-        """Return the newest pose with its age; None before the first."""
-        self.read_at_s = now_s
-        if self._newest is None:
-            return None
-        age_s = self._newest.age_s + now_s - self._at_s
-        return dataclasses.replace(self._newest, age_s=age_s, rate_hz=aged_rate_hz(self._newest.rate_hz, age_s))
-
-
-@dataclass(eq=False, kw_only=True)
-class RemoteRobot(AnyRobot):
-    """Robot of another daemon, which has its gate and its lease, and describes its state.
-
-    Messages on its velocity topics here are commands, as for a robot of this daemon.
-    """
-
-    name: str
-    host: str
-    place: Hashable  # identity of the daemon: names may repeat
-    known: RobotState  # newest state from its daemon
-    hosts: RobotHosts
-    gates: Gates
-    graph: TopicGraph
-    link: RemoteLink | None = None
-    also_at: tuple[str, ...] = ()  # if any, it is not driven from here
-    resumed_link: int = 0
-    odometry: RemoteOdometry = field(default_factory=RemoteOdometry)
-    followers: dict[Hashable, Follow] = field(default_factory=dict)
-    admission: Admission = field(init=False)  # of commands from here
-    _epoch: int | None = None  # of its daemon's admission
-    _node: Node = field(init=False)  # key of the subscriptions to its velocity topics
-    _velocities: frozenset[tuple[str, str]] = frozenset()
-
-    def __post_init__(self) -> None:
-        self.admission = Admission(self.name, epoch=secrets.randbits(EPOCH_BITS), sees_bunches=False)
-        self._node = Node(f"{self.name} at {self.host}")
-
-    def state(self, now_s: float) -> RobotState:
-        """Return the robot's state for all APIs, with the link number and the epoch of this daemon."""
-        return msgspec.structs.replace(
-            self.known,
-            host=self.host,
-            also_at=self.also_at,
-            link=None if self.link is None else self.link.number,
-            lock_reason=self.admission.lock_reason,
-            epoch=self.admission.epoch,
-            odometry=self.odometry.snapshot(now_s),
-            **(DEVICE_AWAY if self.link is None else {}),
-        )
-
-    def command(self, command: Command[PlanarVelocity]) -> PlanarVelocity:
-        """Send a command to the robot's daemon if it is admitted here. Return the sent velocity.
-
-        Raises:
-            CommandRefused: the command is not admitted, or the previous one of this source was refused.
-            DeviceGone: several robots have this name, or the robot's daemon does not answer.
-            FrameTooLarge, WrongType: the answer to the previous command of this source.
-        """
-        now_s = loop_time_s()
-        command = self.gates.timed(self.name, command, now_s)
-        self._check_unique()
-        decision = self.admission.decide(command, now_s)
-        is_zero = command.velocity.is_zero and command.is_planar
-        if decision.is_admitted or (is_zero and decision.kind is RefusalKind.HELD):  # it lets go there, too
-            lease = None if command.velocity.is_zero else self.admission.driver("", now_s)
-            began_s = command.received_s if lease is None else lease.deadline_s - self.admission.lease_s
-            self.hosts.drive(
-                self,
-                command.velocity,
-                owner=command.source,
-                priority=command.priority,
-                received_s=began_s,
-                epoch=None if command.epoch is None else self._epoch,
-                take_over=command.take_over,
-            )
-        if decision.kind is not None:
-            raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder, by=decision.by)
-        return command.velocity
-
-    def answer(self, owner: Hashable) -> Awaitable[PlanarVelocity]:
-        """Return the other daemon's answer to the newest command of a source."""
-        return self.hosts.answer(self, owner)
-
-    def limited_by(self, velocity: PlanarVelocity) -> None:  # noqa: ARG002 - used by LocalRobot
-        """Return None: the limits are at the robot's daemon."""
-        return
-
-    def stop(self, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
-        """Stop the robots of this name at other daemons."""
-        if self.gates.hosts is not None:
-            self.gates.hosts.stop(self.name)
-
-    def lock(self, reason: str = LOCK_REASON, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
-        """Lock the robots of this name at other daemons."""
-        if self.gates.hosts is not None:
-            self.gates.hosts.lock(self.name, shown_reason(reason))
-
-    def unlock(self, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
-        """Unlock the robot.
-
-        Raises:
-            DeviceGone: several robots have this name.
-        """
-        self._check_unique()
-        self.hosts.unlock(self)
-
-    def why_moving(self) -> str:
-        """Return the reason why the robot moves after a stop."""
-        known = self.known
-        return _why_moving(
-            is_played=known.is_played,
-            drivers=(known.holder,),
-            unreachable=known.unreachable,
-            velocities=(known.velocity,),
-        )
-
-    def why_unknown(self) -> str:
-        """Return the reason why odometry does not show whether the robot is stopped."""
-        if self.link is None:
-            return "its device is not connected"
-        if self.known.feedback is FeedbackKind.NONE:
-            cause = self.known.unreachable
-            return NO_ODOMETRY if cause is None else cause
-        if self.odometry.count == 0:
-            return "it sends no odometry"
-        return f"no odometry of it has come from {self.host} since the stop"
-
-    def update(self, known: RobotState, *, epoch: int | None) -> None:
-        """Set the state from the robot's daemon. An interruption there is one here.
-
-        `epoch` is None if that daemon has no epochs.
-        """
-        self.known = known
-        self.admission.lease_s = known.lease_s
-        self.note_epoch(epoch, lock_reason=known.lock_reason)
-        if known.odometry is None:
-            self.odometry.withdraw()
-        elif self.odometry.update(known.odometry, loop_time_s()):
-            for follow in tuple(self.followers.values()):
-                follow(None)
-
-    def note_epoch(self, epoch: int | None, *, lock_reason: str | None) -> None:
-        """Note epoch and lock of the other daemon's admission."""
-        admission, now_s = self.admission, loop_time_s()
-        if lock_reason is not None and admission.lock_reason != lock_reason:
-            admission.lock(lock_reason, now_s)
-        elif lock_reason is None and admission.lock_reason is not None:
-            admission.unlock(now_s)
-        elif self._epoch is not None and epoch is not None and epoch > self._epoch:
-            admission.interrupt(now_s)
-        if epoch is not None:  # a state may be older than an answer
-            self._epoch = epoch if self._epoch is None else max(epoch, self._epoch)
-
-    def connect(self, own_number: int | None, epoch: int | None, new_number: Callable[[], int]) -> None:
-        """Set the device's connection at the other daemon; None if it has none. `new_number` numbers a new connection.
-
-        The other daemon decides whether a reconnection is an interruption: then its `epoch` differs.
-        """
-        if own_number is None:
-            if self.link is not None:
-                self.admission.disconnect(loop_time_s())
-            self.link = None
-        elif self.link is None or self.link.own_number != own_number:
-            self.link = RemoteLink(new_number(), own_number)
-            is_resumed = epoch is not None and epoch == self._epoch
-            self.admission.resume_after_reconnect_s = math.inf if is_resumed else 0.0
-            if self.admission.connect(loop_time_s()):
-                self.resumed_link = self.link.number
-            self._epoch = epoch  # also if it is lower: the other daemon may have restarted
-
-    def offer(self, velocities: Iterable[tuple[str, str]]) -> None:
-        """Subscribe to these velocity topics, by name and type, while no device here has them."""
-        wanted = frozenset(velocities)
-        if self._velocities == wanted:
-            return
-        self.graph.leave(self._node)
-        before, self._velocities = self._velocities, wanted
-        for name, type_name in wanted:
-            subscription = DeviceSubscription(self._receive, is_gate=True)
-            try:
-                topic = self.graph.subscribe_device(name, self._node, subscription, type_name=type_name)
-            except HostlinkError as error:
-                log.warning("topic.refused", topic=name, reason=str(error))
-            else:
-                if (name, type_name) not in before:
-                    self.join(topic)
-
-    def leave(self) -> None:
-        """Leave the graph: no other daemon has the robot."""
-        self.graph.leave(self._node)
-
-    def _receive(self, message: Message) -> None:
-        """Receive a velocity that was published here.
-
-        Raises:
-            HostlinkError: as from `command`; also if a device here has the same topic.
-        """
-        if sum(not device.is_away for device in self.graph.find(message.topic).devices.values()) > 1:
-            raise DeviceGone(self.name, f"{message.topic} is a topic here and at {self.host}")
-        self.receive(message)
-
-    def _check_unique(self) -> None:
-        """Refuse a request that could mean either of two robots.
-
-        Raises:
-            DeviceGone: robots of several daemons have this name.
-        """
-        if self.also_at:
-            places = ", ".join((self.host, *self.also_at))
-            raise DeviceGone(self.name, f"several robots have this name, at {places}; rename all but one of them")
-
-
-def _why_moving(
+def reason_for_motion(
     *,
     is_played: bool,
     drivers: Iterable[str | None],
     unreachable: str | None,
     velocities: Iterable[PlanarVelocity | Any],
 ) -> str:
+    """Return the reason why a robot moves after a stop."""
     driver = next(filter(None, drivers), None)
     if is_played:
         return "it is a recording, which obeys nobody"

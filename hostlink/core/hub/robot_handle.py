@@ -85,9 +85,8 @@ class RobotHandle:
         robot = self._robots.get_here(self.name)
         if robot is None or robot is not self._robot:
             return None
-        shown = robot.shown
-        is_told = shown.odometry is not None and shown.odometry_type is not None
-        odometry = (shown.odometry, shown.odometry_type) if is_told else None
+        name, type_name = robot.shown.odometry, robot.shown.odometry_type
+        odometry = None if name is None or type_name is None else (name, type_name)
         return RecordedMotion(robot.name, odometry, twist_topic(robot), robot.odometry.anew(), self.odometry())
 
     # -- commands -----------------------------------------------------------------------------------------------------

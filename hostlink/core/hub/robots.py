@@ -15,10 +15,10 @@ import structlog
 from hostlink.core.config import RobotConfig
 from hostlink.core.hub.device import CommandEndpoint, Device
 from hostlink.core.hub.gates import Drivable
+from hostlink.core.hub.remote_robot import RemoteRobot
 from hostlink.core.hub.robot import (
     AnyRobot,
     LocalRobot,
-    RemoteRobot,
     command_settings,
     commands_of,
     correction_of,
@@ -95,7 +95,7 @@ class Robots:
     - `devices`: the Device of each live link, by the number of the link. A Device has its link, its diagnosis, its
       robot, and its drivables with their gates. A robot and each drivable know their Device as their `connection`.
     - the robots of this daemon by name, connected or not.
-    - `remote`: the robots of other daemons by name.
+    - `remote`: the robots that components announce, by name.
     - `boards`: the lock of everything that is not a robot. A lock of all also locks robots that are seen later.
 
     The Directory decides from the announced topics which robot a device is; the registry keeps the decisions. No other
@@ -118,7 +118,7 @@ class Robots:
         self.forgotten = 0
         self.max_robots = MAX_ROBOTS + len(self._configs)
         self.devices: dict[int, Device] = {}  # oldest first
-        self.remote: dict[str, RemoteRobot] = {}  # other code only reads it
+        self.remote: dict[str, RemoteRobot] = {}  # other code only reads it; `RemoteRobots` adds and removes
         self.boards = Admission("every board", drive=None)
         self._numbers = itertools.count(1)
         self._robots: dict[str, LocalRobot] = {}
@@ -276,8 +276,7 @@ class Robots:
         Raises:
             HostlinkError: the zero does not fit a robot's device; all others have been stopped.
         """
-        if self._gates.hosts is not None:
-            self._gates.hosts.stop(None)
+        self._gates.providers.stop(None)
         return self.stop_all_here(by=by)
 
     def stop_all_here(self, *, by: str | None = None) -> list[CommandEndpoint]:
@@ -304,8 +303,7 @@ class Robots:
         Raises:
             HostlinkError: the zero does not fit a robot's device; it is locked nevertheless, and so are all others.
         """
-        if self._gates.hosts is not None:
-            self._gates.hosts.lock(None, shown_reason(reason))
+        self._gates.providers.lock(None, shown_reason(reason))
         return self._lock({robot: robot.lock for robot in self.all()}, reason, by=by)
 
     def lock_all_here(self, reason: str, *, by: str | None = None) -> list[CommandEndpoint]:
@@ -340,8 +338,7 @@ class Robots:
         Raises:
             DeviceGone: several robots of other daemons have one name; all others are unlocked.
         """
-        if self._gates.hosts is not None:
-            self._gates.hosts.unlock_all()
+        self._gates.providers.unlock_all()
         self._unlock_boards(by=by)
         refusal = None
         for robot in self.all():
@@ -543,7 +540,7 @@ class Robots:
         )
 
     def put_remote(self, robot: RemoteRobot) -> None:
-        """Add a robot of another daemon."""
+        """Add a robot that a component announces."""
         self.pop_remote(robot.name)
         self.remote[robot.name] = robot
         self._gates.register(robot.admission)
@@ -551,7 +548,7 @@ class Robots:
         self._hub.note_robot(robot.name)
 
     def pop_remote(self, name: str) -> RemoteRobot | None:
-        """Remove and return a robot of another daemon; None if there is none of this name."""
+        """Remove and return a robot that a component has announced; None if there is none of this name."""
         robot = self.remote.pop(name, None)
         if robot is not None:
             robot.leave()

@@ -13,7 +13,8 @@ import zenoh
 from structlog.testing import capture_logs
 
 from hostlink.components.zenoh.session import ZenohSample, ZenohSession, opened
-from hostlink.core.config import Config, ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.config import Config
 from hostlink.core.hub.isolation import Isolation
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics
@@ -27,10 +28,10 @@ OPEN_TIMEOUT_MS = 3000
 TLS = "transport/link/tls"
 
 
-def certified(folder: Path, certificate: str, **settings: Any) -> ZenohConfig:
+def certified(folder: Path, certificate: str, **settings: Any) -> ZenohSettings:
     """Settings with the certificate of this name, and that name unless another is claimed."""
     pem, key = make_certificate(folder, certificate)
-    return ZenohConfig(**{"name": certificate, "ca": folder / "ca.pem", "certificate": pem, "key": key, **settings})
+    return ZenohSettings(**{"name": certificate, "ca": folder / "ca.pem", "certificate": pem, "key": key, **settings})
 
 
 # -- ways in ----------------------------------------------------------------------------------------------------------
@@ -88,7 +89,7 @@ async def test_a_fleet_with_certificates_is_entered_by_tls_and_a_certificate_alo
         "a certificate": raw(f"tls/127.0.0.1:{port}", **trusts(fleets), **shows(fleets, "desk")),
     }
     own = certified(fleets, "lab-1", listen=(f"tls/127.0.0.1:{port}",))
-    async with daemon(Config(zenoh=own)), asyncio.TaskGroup() as tasks:
+    async with daemon(Config(component_settings={"zenoh": own})), asyncio.TaskGroup() as tasks:
         tries = {way: tasks.create_task(connects(settings)) for way, settings in ways.items()}
         await asyncio.wait(tries.values())
     assert [way for way, is_open in tries.items() if is_open.result()] == ["a certificate"]
@@ -108,7 +109,7 @@ async def test_a_name_that_is_not_in_the_certificate_does_not_drive(
     called = {"connect": here if is_robots_daemon_called else ()}
     lab = certified(tmp_path, "lab-1", listen=here, drivers=("desk",), **calls)
     with capture_logs() as logs:
-        await _try_names(tmp_path, Config(zenoh=lab), desk, wall, called)
+        await _try_names(tmp_path, Config(component_settings={"zenoh": lab}), desk, wall, called)
     differs = [each for each in logs if each["event"] == "fleet.name_differs"]
     assert {(each["host"], each["certificate"]) for each in differs} == {("desk", "wall")}
 
@@ -117,8 +118,10 @@ async def _try_names(
     folder: Path, lab: Config, desk: tuple[str], wall: tuple[str], called: dict[str, tuple[str, ...]]
 ) -> None:
     async with (
-        daemon(Config(zenoh=certified(folder, "desk", listen=desk, **called))) as driver,
-        daemon(Config(zenoh=certified(folder, "wall", name="desk", listen=wall, **called))) as pretender,
+        daemon(Config(component_settings={"zenoh": certified(folder, "desk", listen=desk, **called)})) as driver,
+        daemon(
+            Config(component_settings={"zenoh": certified(folder, "wall", name="desk", listen=wall, **called)})
+        ) as pretender,
         daemon(lab) as host,
         fake_device(host.tcp, robot_topics("robot_7")) as device,
     ):
@@ -134,7 +137,7 @@ async def _try_names(
 
 
 @contextlib.asynccontextmanager
-async def session(config: ZenohConfig) -> AsyncIterator[ZenohSession]:
+async def session(config: ZenohSettings) -> AsyncIterator[ZenohSession]:
     async with opened(config, Isolation()) as made:
         yield made
 

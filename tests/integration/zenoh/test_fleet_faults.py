@@ -19,7 +19,8 @@ from hostlink.components.zenoh.fleet_messages import (
     encode,
 )
 from hostlink.components.zenoh.lingering import ZENOHS, lingers
-from hostlink.core.config import Config, ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.config import Config
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import HostlinkError
 from tests.support.background import meanwhile
@@ -305,16 +306,18 @@ async def test_a_peer_with_many_robots_keeps_the_loop_for_no_stop() -> None:
 def _secured(folder: Path, name: str, port: int, *others: int, **settings: Any) -> Config:
     certificate, key = make_certificate(folder, name)
     return Config(
-        zenoh=ZenohConfig(
-            name=name,
-            listen=(f"tls/127.0.0.1:{port}",),
-            connect=tuple(f"tls/127.0.0.1:{other}" for other in others),
-            multicast=False,
-            ca=folder / "ca.pem",
-            certificate=certificate,
-            key=key,
-            **settings,
-        )
+        component_settings={
+            "zenoh": ZenohSettings(
+                name=name,
+                listen=(f"tls/127.0.0.1:{port}",),
+                connect=tuple(f"tls/127.0.0.1:{other}" for other in others),
+                multicast=False,
+                ca=folder / "ca.pem",
+                certificate=certificate,
+                key=key,
+                **settings,
+            )
+        }
     )
 
 
@@ -353,7 +356,9 @@ async def test_a_router_carries_a_fleet_of_clients() -> None:
 
     def client(name: str) -> Config:
         there = (f"tcp/127.0.0.1:{port}",)
-        return Config(zenoh=ZenohConfig(name=name, mode="client", connect=there, multicast=False))
+        return Config(
+            component_settings={"zenoh": ZenohSettings(name=name, mode="client", connect=there, multicast=False)}
+        )
 
     async with contextlib.AsyncExitStack() as stack:
         router = await asyncio.to_thread(zenoh.open, config)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hostlink.cli.check import FEWEST, check, describe, fitted
+from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.config import (
     ApiConfig,
     Config,
@@ -19,7 +20,6 @@ from hostlink.core.config import (
     TcpConfig,
     TokenConfig,
     WheelsConfig,
-    ZenohConfig,
 )
 from hostlink.core.runtime.folders import FolderOwner
 from hostlink.errors import ConfigError
@@ -65,7 +65,7 @@ def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
 
 
 def test_report_says_from_where_a_zenoh_session_can_be_reached() -> None:
-    plain = Config(zenoh=ZenohConfig(connect=("tcp/10.0.0.2:7447",)))
+    plain = Config(component_settings={"zenoh": ZenohSettings(connect=("tcp/10.0.0.2:7447",))})
     reach = (
         "listens on tcp/[::]:0; connects to tcp/10.0.0.2:7447; no TLS, found by multicast and gossip: everybody who "
         "reaches it can drive"
@@ -74,7 +74,7 @@ def test_report_says_from_where_a_zenoh_session_can_be_reached() -> None:
     (warning,) = checked(plain)
     assert "everybody who reaches its port can drive the robots" in warning
     files = {"ca": Path("/ca.pem"), "certificate": Path("/a.pem"), "key": Path("/a.key")}
-    closed = Config(zenoh=ZenohConfig(drivers=("desk",), **files))
+    closed = Config(component_settings={"zenoh": ZenohSettings(drivers=("desk",), **files)})
     reach = (
         "listens on nothing; TLS alone: reached by certificates of /ca.pem; of them desk may drive, by the name in the "
         "certificate"

@@ -14,6 +14,7 @@ import pytest
 from hostlink.cli.serve_command import EXAMPLES, read_example
 from hostlink.cli.settings import load
 from hostlink.components.mqtt.settings import MqttSettings
+from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.config import ApiConfig, Config, RobotConfig, SerialConfig, TokenConfig
 from hostlink.errors import ConfigError
 
@@ -76,7 +77,7 @@ def parts(kind: type[Any], shown: dict[str, Any]) -> Iterator[tuple[type[Any], d
 
 
 OF_COMPONENTS = ("component_settings",)  # their tables are theirs
-OF_OTHERS: dict[str, type[Any]] = {"mqtt": MqttSettings}  # tables of components
+OF_OTHERS: dict[str, type[Any]] = {"mqtt": MqttSettings, "zenoh": ZenohSettings}  # tables of components
 
 
 def test_the_example_names_every_setting_with_its_default(whole: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ from tests.support.fake_device import topic
 from tests.support.memory_client import memory_host
 from tests.support.memory_hub import SETTLED_S, MemoryHub, in_hub
 from tests.support.participants import publish
-from tests.support.remote_robots import RecordingHosts, connected_robot
+from tests.support.remote_robots import RecordingHosts, connected_robot, reach
 
 STOPPED = StoppedRobot(StandstillState.STOPPED, 0.0, 0.0, 0.0)
 
@@ -170,7 +170,7 @@ def outcome(work: Coroutine[Any, Any, None], capsys: pytest.CaptureFixture[str])
 class OtherDaemons(RecordingHosts):
     """Other daemons, of which one has a robot with a topic that nothing guards. Two orders are on their way."""
 
-    async def settled(self) -> list[CommandEndpoint]:  # type: ignore[override]
+    async def settled(self) -> list[CommandEndpoint]:
         far = CommandEndpoint(
             4, "10.0.0.9", "far", "/far/motor", "std_msgs/Int16", is_guarded=False, is_locked=True, host="lab"
         )
@@ -182,7 +182,7 @@ def test_unguarded_topics_of_a_robot_of_another_daemon_are_named_as_those_of_one
     verb: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     async def test(made: MemoryHub, host: Host) -> None:
-        made.hub.gates.reach(OtherDaemons())  # type: ignore[arg-type]
+        reach(made.hub, OtherDaemons())
         connected_robot(made.hub, "far", OtherDaemons())
         await made.connect([CAR, MOTOR])
         for names in (["far"], ["far", "car"]):

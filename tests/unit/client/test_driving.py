@@ -11,7 +11,6 @@ import pytest
 
 from hostlink.client import Driven, Refusal, Robot, driver
 from hostlink.core.hub.device import CommandEndpoint
-from hostlink.core.hub.gates import RemoteHosts
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.robot.admission import EARLIER_EPOCH, LEASE_S
 from hostlink.core.robot.events import LET_GO, WAS_STOPPED, EventKind, RobotEvent
@@ -22,6 +21,7 @@ from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
 from tests.support.memory_client import MemoryHost, memory_host
 from tests.support.participants import NEIGHBOUR, ROBOT, Scene, scene
+from tests.support.remote_robots import RecordingHosts, reach
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import virtual
 
@@ -113,7 +113,7 @@ async def test_stop_stops_and_nothing_is_repeated() -> None:
         assert here.gate.owner_name is None
 
 
-class Unanswered(RemoteHosts):
+class Unanswered(RecordingHosts):
     """Another daemon, which answers nothing."""
 
     async def settled(self) -> list[CommandEndpoint]:
@@ -129,7 +129,7 @@ async def test_stop_that_is_not_answered_delays_no_stop_of_another_robot() -> No
         await asyncio.sleep(LEASE_S)  # the neighbour has let go
         for name in names:
             await here.me.robot(name).drive(0.2, 0.0)
-        here.made.hub.gates.hosts = Unanswered()
+        provision = reach(here.made.hub, Unanswered())
         now_s = asyncio.get_running_loop().time
         began_s = now_s()
         await here.me.stop_driven()
@@ -137,7 +137,7 @@ async def test_stop_that_is_not_answered_delays_no_stop_of_another_robot() -> No
         assert now_s() - began_s == pytest.approx(0.01)
         assert all(here.made.hub.robots.find_here(name).gate.current.is_zero for name in names)
         assert not any(here.me.robot(name).is_driven for name in names)
-        here.made.hub.gates.hosts = None
+        here.made.hub.gates.providers.remove(provision)
 
 
 @virtual

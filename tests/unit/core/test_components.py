@@ -18,9 +18,20 @@ from hostlink.core.components import LONGEST_PAUSE_S, STEADY_S, chosen_component
 from hostlink.core.config import Config
 from hostlink.core.host import Component, Host, PlanarVelocity, RobotEvent, Role
 from hostlink.core.protocol.endpoint import EndpointKind
-from hostlink.errors import CommandRefused, ConfigError, DeviceGone, FrameTooLarge, HostlinkError, NoRole, UnknownTopic
+from hostlink.errors import (
+    BadRequest,
+    CommandRefused,
+    ConfigError,
+    DeviceGone,
+    FrameTooLarge,
+    HostlinkError,
+    NoRole,
+    UnknownTopic,
+)
 from tests.support.fake_device import topic
+from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
+from tests.support.remote_robots import RecordingHosts, remote_robot
 from tests.support.virtual_loop import inside
 from tests.support.waiting import expect
 
@@ -193,6 +204,69 @@ async def test_failure_of_spawned_work_or_of_a_callback_is_a_failure_of_the_comp
     async with supervised(made, kind):
         await asyncio.sleep(0.1)
         assert "spawned" in made.hub.diagnoses.own["driver"].detail
+
+
+@inside(in_hub)
+async def test_stop_of_all_between_two_runs_is_an_error_if_the_component_had_robots(made: MemoryHub) -> None:
+    hosts = RecordingHosts()
+
+    async def announce(host: Host) -> None:
+        remote = host.announce_robots(hosts)
+        assert host.kept("orders", list) == []
+        host.kept("orders", list).append("stop")
+        remote.announce(remote_robot(made.hub, "robot_7").known, host="lab")
+        await asyncio.sleep(0.5)
+        raise OSError("lost")
+
+    async def announce_none(host: Host) -> None:
+        assert host.kept("orders", list) == ["stop"]
+        host.announce_robots(hosts)
+        await asyncio.sleep(0.5)
+        raise OSError("lost")
+
+    device = await made.connect()
+    kind = driver_of(announce, announce_none)
+    async with supervised(made, kind):
+        await asyncio.sleep(0.6)
+        assert made.hub.robots.remote == {}
+        drive_gate(made.robot(), FORWARD, owner="ann")
+        made.hub.robots.stop_all()
+        with pytest.raises(DeviceGone, match="driver: the component has failed, and does not run yet"):
+            await made.hub.gates.settled()
+        await asyncio.sleep(0.05)
+        assert velocities(device)[-1] == (0.0, 0.0)
+        assert hosts.sent == [("stop", None), ("settled",)]
+        for _ in range(2):  # in the second run, and after it
+            await asyncio.sleep(1.0)
+            made.hub.robots.stop_all()
+            assert await made.hub.gates.settled() == []
+        assert len(kind.hosts) == 2
+
+
+@inside(in_hub)
+async def test_ended_run_joins_nothing_and_runs_nothing_more(made: MemoryHub) -> None:
+    """A callback of a library that the component has not withdrawn may still call it."""
+
+    async def keep(host: Host) -> None:
+        host.announce_robots(RecordingHosts())
+        raise OSError("lost")
+
+    async def work() -> None:
+        raise AssertionError("it runs")
+
+    kind = driver_of(keep, drive_for_ever)
+    async with supervised(made, kind):
+        await asyncio.sleep(0.1)
+        ended = kind.hosts[0]
+        with pytest.raises(BadRequest, match="arm: the run of driver has ended"):
+            ended.join("arm")
+        with pytest.raises(BadRequest, match="the run of driver has ended"):
+            ended.observe(lambda _: None)
+        ended.spawn(work(), name="late")
+        await asyncio.sleep(0.1)
+        assert made.hub.isolation.crashes == {}
+        made.hub.robots.stop_all()
+        assert await made.hub.gates.settled() == []
 
 
 @inside(in_hub)

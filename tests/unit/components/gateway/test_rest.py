@@ -20,7 +20,7 @@ from hostlink.errors import BadRequest, DeviceGone
 from tests.support.fake_device import CATALOG, topic
 from tests.support.hosts import host_in
 from tests.support.participants import VELOCITY_ID
-from tests.support.remote_robots import RecordingHosts
+from tests.support.remote_robots import RecordingHosts, reach
 from tests.support.rest_memory import RestMemory, rest_memory
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
@@ -157,11 +157,11 @@ def test_zero_that_does_not_fit_one_robot_is_an_error_whose_answer_has_all_the_o
 @pytest.mark.parametrize("path", ["/api/stop", "/api/lock"])
 def test_daemon_that_does_not_answer_a_stop_is_an_error_whose_answer_has_every_robot(path: str) -> None:
     class Silent(RecordingHosts):
-        async def settled(self) -> list[CommandEndpoint]:  # type: ignore[override]
+        async def settled(self) -> list[CommandEndpoint]:
             raise DeviceGone("lab", "lab has not answered")
 
     async def test(api: RestMemory) -> None:
-        api.hub.gates.reach(Silent())  # type: ignore[arg-type]
+        reach(api.hub, Silent())
         status, body = await api.call("POST", f"{path}?wait_s=0")
         assert (status, body["error"]["kind"]) == (503, "DeviceGone")
         assert ([each["name"] for each in body["robots"]], body["endpoints"]) == (["robot_0"], [])

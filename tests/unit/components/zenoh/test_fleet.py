@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import functools
+import itertools
 import json
 import math
 import re
@@ -30,7 +31,10 @@ from hostlink.components.zenoh.fleet_messages import (
 )
 from hostlink.components.zenoh.roster import SILENT_S, FleetRoster
 from hostlink.components.zenoh.session import ZenohSample, ZenohSession
-from hostlink.core.config import Config, ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings
+from hostlink.core.components import hosted, supervise
+from hostlink.core.config import Config
+from hostlink.core.host import Component, Host
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.robot import AnyRobot, LocalRobot
 from hostlink.core.protocol.endpoint import EndpointKind
@@ -38,6 +42,7 @@ from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkError, RefusalKind
 from tests.support.background import meanwhile
 from tests.support.fake_device import CATALOG, topic
+from tests.support.hosts import host_in
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import (
     NEIGHBOUR,
@@ -71,8 +76,9 @@ class World:
         for hub, name, zid in ((self.scene.hub, "lab", "1a"), (self.desk, "desk", "2b")):
             self.desk_session = MemorySession(self.network, zid)
             session = cast("ZenohSession", self.desk_session)
-            config = ZenohConfig(name=name, drivers=drivers)
-            await self.stack.enter_async_context(fleet_running(hub, session, config))
+            config = ZenohSettings(name=name, drivers=drivers)
+            host = await self.stack.enter_async_context(hosted(hub, "zenoh", Counter()))
+            await self.stack.enter_async_context(fleet_running(host, session, config))
         await asyncio.sleep(2.0)  # the second state of a robot has its topics
         self.program = self.desk.join("client 3")
 
@@ -143,7 +149,7 @@ async def test_each_of_two_commands_that_are_sent_at_once_has_its_own_answer(wor
 @inside(with_fleet)
 async def test_commands_are_answered_in_order_while_their_daemon_becomes_known(world: World) -> None:
     """Three commands arrive before its token was read, and one between the token and their delivery."""
-    wall, keys, answers = MemorySession(world.network, "3c"), Keys(ZenohConfig().fleet_name), list[int]()
+    wall, keys, answers = MemorySession(world.network, "3c"), Keys(ZenohSettings().fleet_name), list[int]()
     here, there = Sender("lab", "1a"), Sender("wall", "3c")
 
     def drive(number: int) -> None:
@@ -360,7 +366,7 @@ class Requests:
 
         self.roster = FleetRoster(self.counts)
         transport = FleetTransport(cast("ZenohSession", Answers()), self.keys, self.here, self.counts, drivers)
-        self.drivers = FleetDrivers(scene.hub, transport, self.roster)
+        self.drivers = FleetDrivers(host_in(scene.hub, "fleet"), transport, self.roster)
         self.roster.appear(self.desk, now_s())
 
     def hear(self) -> None:
@@ -593,6 +599,42 @@ def test_stop_of_a_host_out_of_sight_is_an_error_and_in_force_when_it_is_seen_ag
             cut.heal()
             await asyncio.sleep(1.0)
             assert world.scene.speeds()[-1] == 0.0
+
+    with_fleet(test)
+
+
+ORDERS: dict[str, Callable[[World], object]] = {
+    "stop of all": lambda world: world.desk.robots.stop_all(),
+    "stop by name": lambda world: world.robot().stop(),
+    "lock of all": lambda world: world.desk.robots.lock_all("crossing"),
+    "lock by name": lambda world: world.robot().lock("crossing"),
+}
+
+
+@pytest.mark.parametrize("way_s", [0.2, 0.8])
+@pytest.mark.parametrize("order", ORDERS)
+def test_order_over_a_slow_network_is_in_force_when_it_arrives_and_an_error_if_that_is_late(
+    order: str, way_s: float
+) -> None:
+    async def test(world: World) -> None:
+        sent = world.desk_session.put
+
+        def put(key: str, payload: bytes, **options: Any) -> None:
+            asyncio.get_running_loop().call_later(way_s, functools.partial(sent, key, payload, **options))
+
+        async with driven_at_lab(world) as there:
+            world.desk_session.put = put  # type: ignore[method-assign]
+            ORDERS[order](world)
+            with (
+                pytest.raises(DeviceGone, match="lab: has not answered the")
+                if way_s > 0.5
+                else contextlib.nullcontext()
+            ):
+                await world.desk.gates.settled()
+            await asyncio.sleep(1.0)
+            assert world.scene.speeds()[-1] == 0.0
+            assert there.gate.lock_reason == ("crossing (desk)" if "lock" in order else None)
+            world.scene.hub.robots.unlock_all()
 
     with_fleet(test)
 
@@ -864,7 +906,7 @@ async def test_program_whose_computer_has_slept_drives_robots_of_other_hosts(wor
 
     world.desk_session.put = put_later  # type: ignore[method-assign]
     world.slept_s = 60.0
-    world.network.note_token(Keys(ZenohConfig().fleet_name).key("alive", Sender("desk", "2b")), is_alive=True)
+    world.network.note_token(Keys(ZenohSettings().fleet_name).key("alive", Sender("desk", "2b")), is_alive=True)
     await asyncio.sleep(1.5)
     assert (await world.drive()).x_m_s == 0.2
 
@@ -928,7 +970,208 @@ async def test_stop_that_is_repeated_is_answered_and_obeyed_once(scene: Scene) -
 @inside(with_fleet)
 async def test_second_daemon_of_a_name_is_told(world: World) -> None:
     with capture_logs() as logs:
-        world.network.note_token(Keys(ZenohConfig().fleet_name).key("alive", Sender("lab", "4d")), is_alive=True)
+        world.network.note_token(Keys(ZenohSettings().fleet_name).key("alive", Sender("lab", "4d")), is_alive=True)
         await asyncio.sleep(0.1)
     found = [line for line in logs if line["event"] == "fleet.duplicate_host_found"]
     assert [line["host"] for line in found] == ["lab", "lab"]  # at lab, and at desk
+
+
+# -- a failure of the component ---------------------------------------------------------------------------------------
+
+
+class Failing(Component[ZenohSettings]):
+    """The fleet over a network in memory, which fails when a test says so."""
+
+    name = "zenoh"
+    settings_type = ZenohSettings
+
+    def __init__(self, settings: ZenohSettings, session: MemorySession, failure: "asyncio.Queue[Exception]") -> None:
+        super().__init__(settings)
+        self.session, self.failure = session, failure
+
+    async def run(self, host: Host) -> None:
+        async with fleet_running(host, cast("ZenohSession", self.session), self.settings):
+            raise await self.failure.get()
+
+
+class Supervised(World):
+    """Both daemons with supervised components, each of which a test can let fail."""
+
+    async def begin(self, drivers: tuple[str, ...]) -> None:
+        self.running = self.scene.tasks.create_task(self.desk.run())
+        await self.desk.is_running.wait()
+        self.sessions: dict[str, MemorySession] = {}
+        self.failures: dict[str, asyncio.Queue[Exception]] = {}
+        self.components = [self._start(*each, drivers) for each in ((self.scene.hub, "lab"), (self.desk, "desk"))]
+        await asyncio.sleep(2.0)
+        self.program = self.desk.join("client 3")
+
+    def _start(self, hub: Hub, name: str, drivers: tuple[str, ...]) -> "asyncio.Task[None]":
+        failure = self.failures[name] = asyncio.Queue()
+        numbers = itertools.count(1)
+
+        def make() -> Failing:
+            session = self.sessions[name] = MemorySession(self.network, f"{next(numbers)}{name}")
+            return Failing(ZenohSettings(name=name, drivers=drivers), session, failure)
+
+        return self.scene.tasks.create_task(supervise(hub, "zenoh", make))
+
+    def fail(self, name: str, error: Exception) -> None:
+        """Let the component of a daemon fail."""
+        self.failures[name].put_nowait(error)
+
+    async def end(self) -> None:
+        self.program.leave()
+        for each in self.components:
+            each.cancel()
+        await asyncio.sleep(0.1)
+        assert self.desk.robots.remote == {}
+        self.scene.hub.isolation.crashes.pop("component", None)  # the failure of the test
+        self.running.cancel()
+
+    @contextlib.asynccontextmanager
+    async def streaming(self, refusals: list[HostlinkError]) -> AsyncIterator[None]:
+        """A program at the desk drives the robot of the lab, and ignores refusals."""
+
+        async def stream() -> None:
+            while True:
+                try:
+                    robot = self.desk.robots.find(ROBOT, driver=lambda: self.program)
+                    self.program.drive(robot, DRIVE)
+                except HostlinkError as error:
+                    refusals.append(error)
+                await asyncio.sleep(0.1)
+
+        async with meanwhile(stream()):
+            await asyncio.sleep(1.0)
+            assert (self.scene.speeds()[-1], refusals) == (0.2, [])
+            yield
+
+
+def with_failures(test: Callable[[Supervised], Awaitable[None]]) -> None:
+    async def run(scene: Scene) -> None:
+        world = Supervised(scene)
+        await world.begin(("*",))
+        try:
+            await test(world)
+        finally:
+            await world.end()
+
+    play(run)
+
+
+@pytest.mark.parametrize("is_mute", [False, True], ids=["in order", "mute"])
+@pytest.mark.parametrize("failing", ["lab", "desk"])
+def test_failure_of_the_fleet_at_either_end_stops_the_robot_and_its_next_start_does_not_move_it(
+    failing: str, *, is_mute: bool
+) -> None:
+    """`mute`: nothing that the component says at its end is heard, and what it calls fails."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("a bug of the session")
+
+    async def test(world: Supervised) -> None:
+        refusals = list[HostlinkError]()
+        async with world.streaming(refusals):
+            world.fail(failing, ValueError("a bug"))
+            if is_mute:
+                world.sessions[failing].put = refuse  # type: ignore[method-assign]
+            await asyncio.sleep(0.05)
+            if failing == "lab" or not is_mute:
+                assert world.scene.speeds()[-1] == 0.0
+            else:  # its daemon cannot know it before the lease ends
+                await asyncio.sleep(0.5)
+                assert world.scene.speeds()[-1] == 0.0
+            assert failing == "lab" or world.desk.robots.remote == {}
+            count = len(world.scene.speeds())
+            await asyncio.sleep(8.0)  # it is started again; the program has let nothing go
+            assert not any(world.scene.speeds()[count:])
+            assert world.robot().link is not None
+        await world.drive(ZERO)
+        assert (await world.drive()).x_m_s == 0.2
+        assert refusals
+
+    with_failures(test)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_order_that_was_not_obeyed_when_the_fleet_failed_is_in_force_after_its_next_start(order: str) -> None:
+    async def test(world: Supervised) -> None:
+        async with driven_at_lab(world) as there:
+            world.network.deaf.add("1lab")
+            ORDERS[order](world)
+            with pytest.raises(DeviceGone, match="lab: has not answered the"):
+                await world.desk.gates.settled()
+            world.fail("desk", ValueError("a bug"))
+            await asyncio.sleep(2.0)
+            assert world.scene.speeds()[-1] == 0.2
+            shown = world.robot().state(now_s()).lock_reason
+            assert shown == ("crossing (desk)" if "lock" in order else None)
+            world.network.deaf.clear()
+            await asyncio.sleep(3.0)
+            assert world.scene.speeds()[-1] == 0.0
+            assert there.gate.lock_reason == ("crossing (desk)" if "lock" in order else None)
+            assert await world.desk.gates.settled() == []
+            world.scene.hub.robots.unlock_all()
+
+    with_failures(test)
+
+
+@pytest.mark.parametrize("order", ["stop of all", "lock of all"])
+def test_order_between_two_runs_of_the_fleet_is_an_error_and_in_force_after_the_next_start(order: str) -> None:
+    async def test(world: Supervised) -> None:
+        async with driven_at_lab(world) as there:
+            world.fail("desk", ValueError("a bug"))
+            await asyncio.sleep(0.1)
+            assert world.desk.robots.all() == []
+            ORDERS[order](world)
+            with pytest.raises(DeviceGone, match="lab: has not answered the"):
+                await world.desk.gates.settled()
+            await asyncio.sleep(4.0)
+            assert world.scene.speeds()[-1] == 0.0
+            assert there.gate.lock_reason == ("crossing (desk)" if "lock" in order else None)
+            world.desk.robots.stop_all()
+            assert await world.desk.gates.settled() == []
+            world.scene.hub.robots.unlock_all()
+
+    with_failures(test)
+
+
+@inside(with_failures)
+async def test_unlock_that_was_not_answered_when_the_fleet_failed_is_not_repeated(world: Supervised) -> None:
+    here = world.scene.hub.robots.find(ROBOT)
+    here.lock("smoke")
+    await asyncio.sleep(0.1)
+    world.network.deaf.add("1lab")
+    world.robot().unlock()
+    world.fail("desk", ValueError("a bug"))
+    await asyncio.sleep(2.0)
+    world.network.deaf.clear()
+    await asyncio.sleep(3.0)
+    assert here.gate.lock_reason == "smoke"
+    here.unlock()
+
+
+@inside(with_failures)
+async def test_bug_in_an_order_ends_the_run_is_told_to_its_caller_and_stops_what_is_here(world: Supervised) -> None:
+    device = ScriptedDevice(world.desk, robot_topics("robot_9"), address="10.0.0.9")
+    await asyncio.sleep(0.5)
+    here = world.desk.robots.find("robot_9")
+    world.program.drive(here, DRIVE)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("a bug of the session")
+
+    world.sessions["desk"].put = refuse  # type: ignore[method-assign]
+    world.desk.robots.stop_all()
+    with pytest.raises(DeviceGone, match=r"zenoh: the component has failed: .*a bug of the session"):
+        await world.desk.gates.settled()
+    await asyncio.sleep(0.5)
+    assert world.desk.robots.find_here("robot_9").gate.current.is_zero
+    assert [each.code for each in world.desk.diagnoses.own.values()] == ["component_failed"]
+    assert world.desk.robots.remote == {}
+    await asyncio.sleep(4.0)
+    assert world.robot().link is not None
+    world.desk.robots.stop_all()
+    assert await world.desk.gates.settled() == []
+    await device.aclose()

@@ -12,8 +12,9 @@ from hostlink.components.zenoh.session import ZenohSession
 from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_in
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
-from tests.support.remote_robots import remote_robot
+from tests.support.remote_robots import RecordingHosts, remote_robot
 from tests.support.virtual_loop import virtual
 
 ROBOT, PLAN, SCAN = "robot_7", "/robot_7/plan", "/robot_7/scan"
@@ -27,8 +28,11 @@ class World:
         session = cast("ZenohSession", MemorySession(self.network, "1a"))
         transport = FleetTransport(session, Keys("fleet"), Sender("lab", "1a"), self.counts)
         roster = FleetRoster(self.counts)
-        self.topics = FleetTopics(self.hub, transport, FleetDrivers(self.hub, transport, roster), roster)
-        self.robot = remote_robot(self.hub, ROBOT)
+        host = host_in(self.hub, "fleet")
+        robots = host.announce_robots(RecordingHosts())
+        drivers = FleetDrivers(host, transport, roster)
+        self.topics = FleetTopics(host, transport, robots, drivers, roster)
+        self.robot = robots.announce(remote_robot(self.hub, ROBOT).known, host="desk")
         self.neighbour = Neighbour(Sender("desk", "2b"), 0.0)
 
     def show(self, *names: str, type_name: str = "std_msgs/Bool") -> None:

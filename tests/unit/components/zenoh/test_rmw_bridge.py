@@ -1,6 +1,7 @@
 """Topics and services between the hub and ROS 2 by rmw_zenoh's protocol, without a network and in virtual time."""
 
 import asyncio
+import itertools
 import struct
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
@@ -26,12 +27,16 @@ from hostlink.components.zenoh.rmw_protocol import (
     parse_token,
 )
 from hostlink.components.zenoh.session import Declaration, Query, ZenohSample, ZenohSession
+from hostlink.core.components import supervise
+from hostlink.core.host import Component, Host
 from hostlink.core.hub.message import Message
 from hostlink.core.mirror.inbox import MAX_SOURCES
+from tests.support.background import meanwhile
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_of
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import inside, run_virtual
 from tests.support.waiting import expect
 
 TYPES = Ros2Types(CATALOG, "kilted")
@@ -67,7 +72,7 @@ class World:
         self._numbers = 0
         session = cast("ZenohSession", MemorySession(self.network, "ff"))
         token = NodeToken(0, "ff", 0, "/", "hostlink_lab", OWN_ENCLAVE)
-        self.bridge = RmwBridge(scene.hub, session, TYPES, token)
+        self.bridge = RmwBridge(host_of(scene.hub, "zenoh"), session, TYPES, token)
         self.counts = self.bridge.counts
 
     def own(self, kind: TokenKind) -> dict[str, EndpointToken]:
@@ -269,6 +274,64 @@ def test_velocity_of_ros_2_drives_and_ends_with_its_token(type_name: str) -> Non
         assert world.scene.speeds()[-1] == 0.0
 
     with_bridge(test)
+
+
+class Bridging(Component[None]):
+    """The bridge over a network in memory, which fails when a test says so."""
+
+    name = "zenoh"
+
+    def __init__(self, network: MemoryNetwork, failure: "asyncio.Queue[Exception]") -> None:
+        super().__init__(None)
+        self.network, self.failure = network, failure
+
+    async def run(self, host: Host) -> None:
+        session = cast("ZenohSession", MemorySession(self.network, "ff"))
+        bridge = RmwBridge(host, session, TYPES, NodeToken(0, "ff", 0, "/", "hostlink_lab", OWN_ENCLAVE))
+        try:
+            raise await self.failure.get()
+        finally:
+            bridge.close()
+
+
+@inside(play)
+async def test_failure_of_the_bridge_stops_what_ros_2_drives_and_its_next_start_does_not_move_it(scene: Scene) -> None:
+    known, ros2 = CATALOG.message("geometry_msgs/Twist"), TYPES.message("geometry_msgs/Twist")
+    assert known is not None
+    assert ros2 is not None
+    network, failure, numbers = MemoryNetwork(), asyncio.Queue[Exception](), itertools.count(1)
+    peer = MemorySession(network, "aa")
+    key, token = data_key(0, CMD_VEL, TWIST, ros2.type_hash), NodeToken(0, "aa", 0, "/", "driver")
+    publisher = EndpointToken(TokenKind.PUBLISHER, token, 1, CMD_VEL, TWIST, ros2.type_hash, USUAL).encode()
+
+    async def stream() -> None:
+        while True:
+            source_ns = int((1000.0 + asyncio.get_running_loop().time()) * 1e9)
+            signed = Attachment(next(numbers), source_ns, gid_of(publisher)).encode()
+            peer.put(key, ros2.to_cdr(known.encode({"linear": {"x": 0.25}})), attachment=signed)
+            await asyncio.sleep(0.1)
+
+    component = scene.tasks.create_task(supervise(scene.hub, "zenoh", lambda: Bridging(network, failure)))
+    await asyncio.sleep(rmw_bridge.MATCH_S + 0.5)
+    peer.declare_token(publisher)
+    await asyncio.sleep(0.1)
+    async with meanwhile(stream()):
+        await asyncio.sleep(0.5)
+        assert scene.speeds()[-1] == 0.25
+        failure.put_nowait(ValueError("a bug"))
+        await asyncio.sleep(0.05)
+        assert scene.speeds()[-1] == 0.0
+        count = len(scene.speeds())
+        await asyncio.sleep(5.0)
+        assert not any(scene.speeds()[count:])
+    await asyncio.sleep(1.0)
+    async with meanwhile(stream()):
+        await asyncio.sleep(0.5)
+        assert scene.speeds()[-1] == 0.25
+    component.cancel()
+    await asyncio.sleep(0.1)
+    assert scene.speeds()[-1] == 0.0
+    assert scene.hub.isolation.crashes.pop("component") == 1
 
 
 def test_zero_among_velocities_that_arrive_together_is_not_skipped() -> None:

@@ -26,6 +26,7 @@ from hostlink.core.hub.hub import Hub
 from hostlink.core.mirror.log_once import LogOnce
 from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_in
 from tests.support.participants import ROBOT, Scene, play
 from tests.support.virtual_loop import inside
 
@@ -42,9 +43,8 @@ class Remote:
     sent: int = 0
 
     def __post_init__(self) -> None:
-        node = RmwNode(
-            self.hub, NO_SESSION, Ros2Types(CATALOG, "kilted"), NodeToken(0, "ff", 0, "/", "hostlink"), self.counts
-        )
+        host, own = host_in(self.hub, "zenoh"), NodeToken(0, "ff", 0, "/", "hostlink")
+        node = RmwNode(host, NO_SESSION, Ros2Types(CATALOG, "kilted"), own, self.counts)
         self.graph = RemoteGraph(0, self.counts)
         self.publishers = Publishers(node, self.graph, LogOnce(self.counts))
 

@@ -22,8 +22,7 @@ from hostlink.components.zenoh.session import (
     ZenohSession,
     opened,
 )
-from hostlink.components.zenoh.settings import library
-from hostlink.core.config import ZenohConfig
+from hostlink.components.zenoh.settings import ZenohSettings, library
 from hostlink.core.hub.isolation import Isolation
 from hostlink.errors import ConfigError, LibraryMissing
 from tests.support.virtual_loop import run_virtual
@@ -167,7 +166,7 @@ class FakeQuery:
 def with_session(test: Callable[[ZenohSession, FakeZenoh], Awaitable[None]]) -> None:
     async def run() -> None:
         zenoh = FakeZenoh()
-        await test(ZenohSession(zenoh, zenoh, Isolation(reraises=True)), zenoh)
+        await test(ZenohSession(zenoh, zenoh, Isolation(reraises=True).around), zenoh)
 
     run_virtual(run())
 
@@ -388,18 +387,18 @@ def test_opened_session_is_closed_at_the_end_of_its_block(monkeypatch: pytest.Mo
     monkeypatch.setattr(module, "settings_of", lambda _: "settings")
     monkeypatch.setattr(module, "reach_of", lambda *_: ("loopback",))
 
-    async def run(config: ZenohConfig) -> None:
-        async with opened(config, Isolation(reraises=True)) as session:
+    async def run(config: ZenohSettings) -> None:
+        async with opened(config, Isolation(reraises=True).around) as session:
             assert (session.zid, zenoh.settings, zenoh.is_closed) == ("1a", "settings", False)
         assert zenoh.is_closed
 
     with capture_logs() as logs:
-        run_virtual(run(ZenohConfig(name="lab")))
+        run_virtual(run(ZenohSettings(name="lab")))
     assert [each["event"] for each in logs] == ["zenoh.opened", "zenoh.closed"]
     assert logs[0]["zid"] == "1a"
     zenoh.has_failed = True
     with pytest.raises(ConfigError, match="the session cannot be opened: session closed"):
-        run_virtual(run(ZenohConfig(name="lab")))
+        run_virtual(run(ZenohSettings(name="lab")))
 
 
 def test_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,8 +6,16 @@ from typing import Any
 
 import pytest
 
-from hostlink.components.zenoh.settings import certificate_trouble, reach_of, reason_of, settings_of, warnings_of
-from hostlink.core.config import Config, ZenohConfig, load
+from hostlink.cli.settings import load
+from hostlink.components.zenoh.settings import (
+    ZenohSettings,
+    certificate_trouble,
+    reach_of,
+    reason_of,
+    settings_of,
+    warnings_of,
+)
+from hostlink.core.config import Config
 from hostlink.errors import ConfigError
 from tests.support.zenoh_certificates import make_authority, make_certificate
 
@@ -19,12 +27,12 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_configuration_without_the_table_starts_no_zenoh(tmp_path: Path) -> None:
-    assert load(write(tmp_path, "")).zenoh is None
-    assert load(write(tmp_path, "[zenoh]\n")).zenoh == ZenohConfig()
+    assert load(write(tmp_path, "")).component_settings == {}
+    assert load(write(tmp_path, "[zenoh]\n")).component_settings == {"zenoh": ZenohSettings()}
 
 
 def test_paths_are_beside_the_file(tmp_path: Path) -> None:
-    settings = load(write(tmp_path, '[zenoh]\nca = "ca.pem"\nfile = "/etc/rules.json5"\n')).zenoh
+    settings = load(write(tmp_path, '[zenoh]\nca = "ca.pem"\nfile = "/etc/rules.json5"\n')).component_settings["zenoh"]
     assert (settings.ca, settings.file) == (tmp_path / "ca.pem", Path("/etc/rules.json5"))
 
 
@@ -47,7 +55,7 @@ def test_wrong_setting_is_refused(tmp_path: Path, line: str, problem: str) -> No
 
 def test_zenoh_gets_what_is_set() -> None:
     settings = settings_of(
-        ZenohConfig(
+        ZenohSettings(
             mode="client",
             connect=("tls/10.0.0.2:7447",),
             ca=Path("/ca.pem"),
@@ -68,8 +76,8 @@ def test_zenoh_gets_what_is_set() -> None:
     assert settings.get_json("transport/shared_memory/enabled") == "false"
 
 
-def certified(**settings: Any) -> ZenohConfig:
-    return ZenohConfig(ca=Path("/ca.pem"), certificate=Path("/a.pem"), key=Path("/a.key"), **settings)
+def certified(**settings: Any) -> ZenohSettings:
+    return ZenohSettings(ca=Path("/ca.pem"), certificate=Path("/a.pem"), key=Path("/a.key"), **settings)
 
 
 def test_certificates_leave_no_listener_but_those_that_are_named() -> None:
@@ -111,21 +119,21 @@ def test_a_setting_that_opens_what_certificates_close_is_refused(
 
 
 def test_an_authority_alone_connects_by_tls_and_does_not_listen() -> None:
-    config = ZenohConfig(ca=Path("/ca.pem"), connect=("tls/10.0.0.2:7447",))
+    config = ZenohSettings(ca=Path("/ca.pem"), connect=("tls/10.0.0.2:7447",))
     settings = settings_of(config)
     assert (settings.get_json("transport/link/protocols"), settings.get_json("listen/endpoints")) == ('["tls"]', "[]")
     assert settings.get_json("transport/link/tls/enable_mtls") == "null"
     with pytest.raises(ConfigError, match=r"zenoh.listen: needs zenoh.certificate and zenoh.key"):
-        settings_of(ZenohConfig(ca=Path("/ca.pem"), listen=("tls/[::]:7447",)))
+        settings_of(ZenohSettings(ca=Path("/ca.pem"), listen=("tls/[::]:7447",)))
 
 
 @pytest.mark.parametrize("kind", ["root_ca_certificate", "root_ca_certificate_base64"])
 def test_certificates_in_a_file_of_zenoh_close_as_much(tmp_path: Path, kind: str) -> None:
     file = tmp_path / "zenoh.json5"
     file.write_text(json.dumps({"transport": {"link": {"tls": {kind: "a"}}}}))
-    settings = settings_of(ZenohConfig(file=file))
+    settings = settings_of(ZenohSettings(file=file))
     assert settings.get_json("transport/link/protocols") == '["tls"]'
-    assert list(warnings_of(settings, ZenohConfig(file=file))) == []
+    assert list(warnings_of(settings, ZenohSettings(file=file))) == []
 
 
 def test_neighbours_that_others_name_are_met_over_tls_where_that_is_chosen() -> None:
@@ -140,17 +148,17 @@ def test_neighbours_that_others_name_are_met_over_tls_where_that_is_chosen() -> 
 
 
 def test_without_certificates_it_says_that_everybody_may_drive() -> None:
-    config = ZenohConfig(drivers=("desk",))
+    config = ZenohSettings(drivers=("desk",))
     settings = settings_of(config)
     assert tuple(reach_of(settings, config)) == (
         "listens on tcp/[::]:0",
         "no TLS, found by multicast and gossip: everybody who reaches it can drive",
     )
     assert [warning.partition(" (")[0] for warning in warnings_of(settings, config)] == [
-        "zenoh without certificates",
-        "zenoh.drivers without certificates keeps out nobody: a daemon has the name that it gives itself",
+        "no certificates",
+        "drivers without certificates keeps out nobody: a daemon has the name that it gives itself",
     ]
-    config = ZenohConfig(mode="client", connect=("tcp/10.0.0.2:7447",), multicast=False, gossip=False)
+    config = ZenohSettings(mode="client", connect=("tcp/10.0.0.2:7447",), multicast=False, gossip=False)
     assert tuple(reach_of(settings_of(config), config)) == (
         "listens on nothing",
         "connects to tcp/10.0.0.2:7447",
@@ -188,7 +196,7 @@ def test_an_administration_that_writes_is_a_warning(tmp_path: Path) -> None:
 def test_file_of_zenoh_precedes_the_defaults_of_hostlink(tmp_path: Path) -> None:
     file = tmp_path / "zenoh.json5"
     file.write_text("{transport: {link: {tx: {lease: 4000}}}, mode: 'router'}")
-    settings = settings_of(ZenohConfig(file=file))
+    settings = settings_of(ZenohSettings(file=file))
     assert settings.get_json("transport/link/tx/lease") == "4000"
     assert settings.get_json("mode") == '"peer"'
 
@@ -201,7 +209,9 @@ def test_a_reason_of_zenoh_is_short() -> None:
 
 
 def test_the_parts_of_a_configuration_stay_what_they_are(tmp_path: Path) -> None:
-    assert load(write(tmp_path, "[zenoh]\nfleet = false\n")) == Config(zenoh=ZenohConfig(fleet=False))
+    assert load(write(tmp_path, "[zenoh]\nfleet = false\n")) == Config(
+        component_settings={"zenoh": ZenohSettings(fleet=False)}
+    )
 
 
 @pytest.mark.parametrize(
@@ -214,7 +224,7 @@ def test_certificate_that_no_daemon_lets_in_is_told(tmp_path: Path, days: str, t
     if not is_own:
         (tmp_path / "other").mkdir()
         ca = make_authority(tmp_path / "other")
-    config = ZenohConfig(ca=ca, certificate=certificate, key=key)
+    config = ZenohSettings(ca=ca, certificate=certificate, key=key)
     assert certificate_trouble(config) == trouble
     warnings = [warning for warning in warnings_of(settings_of(config), config) if "lets this one in" in warning]
     assert len(warnings) == (trouble != "")

@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+from dataclasses import dataclass
 
 import pytest
 
@@ -63,6 +64,22 @@ async def test_reload_with_limits_that_cannot_be_kept_changes_nothing() -> None:
     with pytest.raises(ConfigError, match="max_linear_m_s"):
         await Reloader(hub, lambda: wrong).reload()
     assert hub.config == Config()
+
+
+@dataclass(frozen=True)
+class Table:
+    """Settings of a component."""
+
+    port: int = 9999
+    host: str = "127.0.0.1"
+
+
+async def test_changed_settings_of_components_need_a_restart_and_are_named_as_in_the_file() -> None:
+    hub = Hub(Config(component_settings={"status": Table(), "gone": Table()}), Catalog())
+    changed = Config(component_settings={"status": Table(port=1)}, components={"mqtt": True})
+    reloaded = await Reloader(hub, lambda: changed).reload()
+    assert sorted(reloaded.needs_restart) == ["components.mqtt", "gone", "status.port"]
+    assert reloaded.changed == ()
 
 
 def test_settings_in_the_log_are_as_many_as_a_line_may_have() -> None:

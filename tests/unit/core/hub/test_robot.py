@@ -10,7 +10,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.core.config import CalibrationConfig, Config, RobotConfig
-from hostlink.core.hub.robot import MAX_LOCK_REASON, RemoteOdometry, correction_of, limits_of, of_namesake
+from hostlink.core.hub.remote_robot import RemoteOdometry
+from hostlink.core.hub.robot import MAX_LOCK_REASON, correction_of, limits_of, of_namesake
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.kinematics import Pose
 from hostlink.core.robot.odometry import OdometrySnapshot
@@ -19,7 +20,7 @@ from hostlink.errors import CommandRefused, ConfigError, DeviceGone, UnknownTopi
 from tests.support.fake_device import robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub
-from tests.support.remote_robots import RecordingHosts, remote_robot
+from tests.support.remote_robots import RecordingHosts, reach, remote_robot
 from tests.support.virtual_loop import inside
 
 SLOW = PlanarVelocity(0.1)
@@ -189,7 +190,7 @@ async def test_command_of_a_remote_robot_is_admitted_here_and_sent_there(made: M
     made.hub.robots.put_remote(robot)
     with pytest.raises(CommandRefused):
         drive_gate(robot, SLOW)
-    robot.connect(12, 100, made.hub.robots.new_number)
+    robot.connect(12, 100)
     drive_gate(robot, SLOW, owner="ann", priority=60)
     drive_gate(robot, SLOW, owner="ann", epoch=robot.admission.epoch)
     assert hosts.sent == [("drive", SLOW, "ann", 60, None), ("drive", SLOW, "ann", 50, 100)]
@@ -203,7 +204,7 @@ async def test_command_of_a_remote_robot_is_admitted_here_and_sent_there(made: M
 @inside(in_hub)
 async def test_stop_and_lock_reach_other_daemons_that_have_the_name(made: MemoryHub) -> None:
     hosts = RecordingHosts()
-    made.hub.gates.reach(hosts)
+    reach(made.hub, hosts)
     robot = remote_robot(made.hub, "robot_7", hosts)
     robot.stop()
     robot.lock("smoke")
@@ -229,7 +230,7 @@ async def test_stop_and_lock_reach_other_daemons_that_have_the_name(made: Memory
 @inside(in_hub)
 async def test_description_of_a_remote_robot_interrupts_locks_and_unlocks_its_admission(made: MemoryHub) -> None:
     robot = remote_robot(made.hub, "robot_7", RecordingHosts())
-    robot.connect(12, 100, made.hub.robots.new_number)
+    robot.connect(12, 100)
     drive_gate(robot, SLOW, owner="ann")
     before = robot.admission.epoch
     robot.update(robot.known, epoch=100)
@@ -242,7 +243,7 @@ async def test_description_of_a_remote_robot_interrupts_locks_and_unlocks_its_ad
     assert robot.state(made.now_s).lock_reason == "smoke"
     robot.update(msgspec.structs.replace(robot.known, lock_reason=None), epoch=103)
     assert robot.admission.lock_reason is None
-    robot.connect(None, None, made.hub.robots.new_number)
+    robot.connect(None, None)
     assert robot.link is None
     assert robot.why_unknown() == "its device is not connected"
 
@@ -270,7 +271,7 @@ async def test_robot_is_found_here_first_unless_it_is_away_and_connected_to_anot
     remote = remote_robot(made.hub, "robot_0", RecordingHosts())
     robots.put_remote(remote)
     assert robots.find("/robot_0") is made.robot()
-    remote.connect(12, 1, robots.new_number)
+    remote.connect(12, 1)
     assert robots.find("robot_0") is made.robot()
     await device.aclose()
     await asyncio.sleep(0.05)
