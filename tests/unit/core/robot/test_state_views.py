@@ -25,7 +25,7 @@ def test_view_of_a_state_has_each_field_of_its_type() -> None:
     assert view["odometry"]["pose"] == {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
 
 
-def test_what_is_not_known_of_a_robot_is_null() -> None:
+def test_unknown_value_of_a_robot_is_null() -> None:
     view = robot_view(UNKNOWN)
     assert (view["connected"], view["locked"], view["played"]) == (False, False, False)
     assert (view["odometry"], view["link"], view["battery_v"]) == (None, None, None)
