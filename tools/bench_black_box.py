@@ -17,13 +17,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink.components.recorder.black_box import BlackBox
 from hostlink.core.config import BlackBoxConfig, Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.link import link
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.runtime import logs
 from tests.support.fake_device import pose, robot_topics
+from tests.support.hosts import black_box_of
 from tests.support.scripted_device import ScriptedDevice
 from tools.bench import Row, parser, report
 
@@ -73,7 +73,7 @@ async def crowd(robots: int, *, is_kept: bool) -> AsyncIterator[list[ScriptedDev
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())
             await hub.is_running.wait()
-            black_box = BlackBox(hub, Path(folder))
+            black_box = black_box_of(hub, Path(folder))
             black_box.start()
             names = [f"robot_{number}" for number in range(robots)]
             devices = [ScriptedDevice(hub, robot_topics(name), address=name) for name in names]

@@ -21,10 +21,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import structlog
 
 from hostlink.components.recorder.recorder import TopicSelection
-from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.config import Config, RecordingConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.messages.catalog import Catalog
+from tests.support.hosts import recordings_of
 
 RATE_HZ = 10
 TOPICS = (("odometry", "geometry_msgs/Pose2D", "<3d"), ("plot_data", "geometry_msgs/Twist", "<6d"))
@@ -57,7 +57,7 @@ async def soak(config: Config, robots: int, minutes: float) -> dict[str, float]:
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(hub.run())
         await hub.is_running.wait()
-        recordings = Recordings(hub)
+        recordings = recordings_of(hub)
         publishers = [(hub.join(f"robot_{number}"), f"/robot_{number}") for number in range(robots)]
         for participant, name in publishers:
             for leaf, type_name, _ in TOPICS:

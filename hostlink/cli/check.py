@@ -18,7 +18,6 @@ from hostlink.cli.output import quantity
 from hostlink.components.gateway.access import Access, is_loopback, tls_context
 from hostlink.components.gateway.listener import KEPT_FOR_REQUESTS
 from hostlink.components.recorder.folder import default_folder
-from hostlink.components.recorder.owner import owner_of
 from hostlink.core.components import chosen_components
 from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, is_place
 from hostlink.core.hub.hub import Hub
@@ -30,6 +29,7 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.rosserial.control import encode_parameter
 from hostlink.core.robot.kinematics import SETTINGS, WHEELS_NEED, AckermannDrive
 from hostlink.core.runtime.acceptor import bind, why
+from hostlink.core.runtime.folders import owner_of
 from hostlink.core.runtime.listening import close_all, spelled
 from hostlink.core.transport.serial import find_port
 from hostlink.core.transport.udp import serve_udp

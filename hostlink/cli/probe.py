@@ -15,15 +15,17 @@ import msgspec
 from hostlink.cli.connecting import counted
 from hostlink.cli.doctor import Report, rates, report_of
 from hostlink.cli.serve import running
-from hostlink.components.gateway.views import Slices, finding_views, links_view, robot_view
 from hostlink.core.config import ApiConfig, Config, SerialConfig, TcpConfig
 from hostlink.core.diagnosis.finding import Finding, finding
 from hostlink.core.diagnosis.replay import Replay, replay
+from hostlink.core.hub.devices import Devices, finding_views
 from hostlink.core.hub.hub import Hub
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.registry import find_protocol
+from hostlink.core.robot.state_views import robot_view
 from hostlink.core.runtime.capture_file import load_reads
 from hostlink.core.runtime.listening import own_address
+from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.core.transport.port_users import PROC, find_user
 
 # -- port users -------------------------------------------------------------------------------------------------------
@@ -71,7 +73,7 @@ async def probe_network(host: str, port: int, seconds: float, folders: tuple[Pat
         for left_s in range(round(seconds), 0, -1):
             show(f"listening on {source}, {left_s} s left, {len(hub.links.all())} connected")
             await asyncio.sleep(_POLL_S)
-        report = await _report_of(hub, source)
+        report = _report_of(hub, source)
     if not report["links"]:
         is_any = host in _ANY  # else devices reach this port at one address only
         here = f"this computer is {own_address() or 'in no network'}" if is_any else f"listening on {host}"
@@ -96,7 +98,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
             show(f"{port.name} at {baud or bauds[0]} baud")
             if any(link.topics for link in hub.links.all()):
                 found_for_s += _POLL_S
-        report = await _report_of(hub, port.name)
+        report = _report_of(hub, port.name)
         baud = _present_baud(hub)
     for link in report["links"]:
         if found_for_s:
@@ -139,10 +141,12 @@ def _report(source: str, only: Finding) -> Report:
     return {"source": source, "links": [], "findings": finding_views([only])}
 
 
-async def _report_of(hub: Hub, source: str) -> Report:
+def _report_of(hub: Hub, source: str) -> Report:
     """Return the report from the view that the API of a daemon would send."""
-    view: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(await links_view(hub, Slices(hub))))
-    return report_of(view, source, [robot_view(robot) for robot in hub.robots.all()])
+    devices = Devices(hub)
+    links = {"links": list(devices.links()), **devices.other_links()}
+    view: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(links))
+    return report_of(view, source, [robot_view(robot.state(loop_time_s())) for robot in hub.robots.all()])
 
 
 def _present_baud(hub: Hub) -> int | None:

@@ -23,7 +23,7 @@ P = ParamSpec("P")
 
 
 class Blocking(Generic[Inner]):
-    """An object with asynchronous methods, and the thread that runs them."""
+    """Object with asynchronous methods, and the thread that runs them."""
 
     def __init__(self, loop: LoopThread, inner: Inner) -> None:
         self._loop, self._inner = loop, inner
@@ -45,7 +45,7 @@ def _blocking(
 def _reporting(
     method: Callable[Concatenate[Inner, P], Coroutine[Any, Any, Result]],
 ) -> Callable[Concatenate[Blocking[Inner], P], Result]:
-    """`on_progress` is called in the calling thread."""
+    """Return a method that calls `on_progress` in the calling thread."""
 
     @functools.wraps(method)
     def call(self: Blocking[Inner], /, *args: P.args, **kwargs: P.kwargs) -> Result:
@@ -83,7 +83,7 @@ def _returning(made: type, call: Callable[P, Result]) -> Callable[P, Result]:
 
 
 class BlockingRobot(Blocking[Robot]):
-    """One robot of a host; get one from `BlockingHost.robot`."""
+    """Handle of one robot of a host, from `BlockingHost.robot`."""
 
     @property
     def name(self) -> str:
@@ -102,7 +102,7 @@ class BlockingRobot(Blocking[Robot]):
 
     @property
     def client_name(self) -> str | None:
-        """Name of this connection at the daemon, as in `holder` of `state()`; None before the first command."""
+        """Name of this connection at the daemon, as `holder` of `state()` shows it; None before the first command."""
         return self._inner.client_name
 
     @property
@@ -126,7 +126,7 @@ class BlockingRobot(Blocking[Robot]):
 
 
 class BlockingHost(Blocking[Host]):
-    """A running hostlink. Get one from `connect_blocking`; any thread may use it."""
+    """Connection to a running hostlink, from `connect_blocking`. All threads may use it."""
 
     def __init__(self, loop: LoopThread) -> None:
         super().__init__(loop, loop.host)
@@ -138,7 +138,7 @@ class BlockingHost(Blocking[Host]):
 
     @property
     def is_connected(self) -> bool:
-        """Whether the connection is there; a cut shows within a second."""
+        """Whether the connection is open. A cut is noticed within a second."""
         return self._inner.is_connected
 
     robots = _blocking(Host.robots)
@@ -161,55 +161,56 @@ class BlockingHost(Blocking[Host]):
     settle = _blocking(Host.settle)
 
     def robot(self, name: str, *, priority: int = PRIORITY) -> BlockingRobot:
-        """The robot of that name; that it exists is found out by the first use.
+        """Return a handle of the robot of that name. The first use tells whether the robot exists.
 
-        `priority`, 0 to 100: a command of a higher one takes the robot over, one of a lower is refused. A program is
-        50, teleop 60.
+        `priority`, 0 to 100: a command of a higher priority takes the robot over, one of a lower priority is refused.
+        Programs have 50, teleop has 60.
         """
         return BlockingRobot(self._loop, self._inner.robot(name, priority=priority))
 
     def pop_refusal(self, topic: str) -> str:
-        """Return why a message on the topic was refused since the last call; empty if none was."""
+        """Return the reason for which a message on the topic was refused since the last call; empty if none was."""
         return self._inner.pop_refusal(topic)
 
     def advertise(self, topic: str, type_name: TypeName, *, is_latched: bool = False) -> Opened:
-        """Be a publisher of the topic until the end of the block or `close`, across losses of the connection too.
+        """Advertise a topic until the end of the block or `close`. It is advertised again after a lost connection.
 
         With `is_latched` programs that subscribe later get the last message.
 
         Raises:
-            HostlinkError: when it begins, there is no connection. An unknown type is raised by the next `publish`.
+            HostlinkError: at the begin of the block, there is no connection. The next `publish` raises for an
+                unknown type.
         """
         return Opened(self._loop, self._inner.advertise(topic, type_name, is_latched=is_latched), topic)
 
     def serve(self, service: str, type_name: TypeName, answer: PlainAnswer) -> Opened:
-        """Answer the calls of a service until the end of the block or `close`, across losses of the connection too.
+        """Provide a service until the end of the block or `close`. It is provided again after a lost connection.
 
-        `answer` is called in a thread of its own with the request, and returns the response, both as dicts; None is an
-        empty response, a HostlinkError fails the call.
+        `answer` is called in its own thread with the request, and returns the response, both as dicts. None is an
+        empty response. A HostlinkError that it raises fails the call.
 
         Raises:
-            HostlinkError: there is no connection when it begins.
+            HostlinkError: at the begin of the block, there is no connection.
         """
         return Opened(self._loop, self._inner.serve(service, type_name, in_thread(answer)), service)
 
     def watch_graph(self) -> Messages[dict[str, Any]]:
-        """The topics, services and robots of all who are not of this connection's group: now, and after every change.
+        """Return an iteration over the topics, services and robots outside of this connection's group.
 
-        docs/api.md has their fields. It lasts as long as the reader keeps what this returns, across losses of the
-        connection too.
+        The first value is the present graph; another one follows after each change (docs/api.md has the fields). The
+        iteration lasts as long as the reader keeps it, and continues after a lost connection.
 
         Raises:
-            HostlinkError: there is no connection when it begins.
+            HostlinkError: at the begin, there is no connection.
         """
         return Messages(self._loop, contextlib.nullcontext(self._loop.run(self._inner.watch_graph())))
 
     def connection(self) -> Messages[ConnectionChange]:
-        """Each loss and each return of the connection from now on, with the robots whose velocity was dropped."""
+        """Return an iteration over losses and returns of the connection, with the robots whose drive ended."""
         return Messages(self._loop, contextlib.nullcontext(self._loop.call(self._inner.connection)))
 
     def close(self) -> None:
-        """Close the connection; what it drives stops.
+        """Close the connection. The robots that it drives stop.
 
         Raises:
             HostlinkError: a published message was refused, and the refusal was not reported yet.
@@ -241,11 +242,11 @@ def connect_blocking(
     idle_timeout_s: float = IDLE_TIMEOUT_S,
     name: str = "",
 ) -> BlockingHost:
-    """A connection to hostlink for programs without asyncio: `with connect_blocking() as host:`.
+    """Connect to hostlink from a program without asyncio: `with connect_blocking() as host:`.
 
-    Without `with` it stays open, over the cells of a notebook too, until `close()`. Whatever ends the block or the
-    program, an error or Ctrl-C in a cell, and the end of the last reference to it stop every robot that it drives. The
-    arguments are those of `connect`.
+    Without `with` the connection stays open until `close()`, also between the cells of a notebook. Every robot that it
+    drives stops at the end of the block or the program, after an error or Ctrl-C in a cell, and when the last reference
+    to the connection is deleted. The arguments are those of `connect`.
 
     Raises:
         HostlinkError: there is no hostlink at `url`, or it refuses.

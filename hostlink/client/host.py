@@ -36,7 +36,7 @@ from hostlink.errors import BadRequest, HostlinkError, Refused, StopFailed
 
 
 class Host:
-    """A running hostlink. Get one from `connect`."""
+    """Connection to a running hostlink, from `connect`."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Host:
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Connected for the length of the block; `connect` uses it."""
+        """Connect for the length of the block. `connect` uses it."""
         await self._connection.open()
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -94,44 +94,43 @@ class Host:
     # -- reading -------------------------------------------------------------------------------------------------------
 
     async def robots(self) -> list[RobotState]:
-        """Every robot: name, connected, holder, velocity (m/s, rad/s), odometry (m, rad)."""
+        """Return the state of each robot: name, connected, holder, velocity (m/s, rad/s), odometry (m, rad)."""
         return cast(list[RobotState], (await self.get("/api/robots"))["robots"])
 
     async def topics(self) -> list[TopicState]:
-        """Every topic: name, type, publishers, subscribers, messages."""
+        """Return each topic: name, type, publishers, subscribers, messages."""
         return cast(list[TopicState], (await self.get("/api/topics"))["topics"])
 
     async def links(self) -> list[dict[str, Any]]:
-        """Every live connection of a device, with its counters."""
+        """Return each live connection of a device, with its counters."""
         return cast(list[dict[str, Any]], (await self.get("/api/links"))["links"])
 
     def watch(self) -> AsyncGenerator[Event, None]:
-        """State of the daemon as it changes: robots, links, clients, and the devices' log lines.
+        """Iterate over the state of the daemon: robots, links, clients, and the devices' log lines.
 
-        The newest of each first, then `robots` when one of them changes, ten times a second at most, `links` and
-        `clients` once a second, and each `log` line. It pauses while the connection is lost, and continues
-        afterwards, with the newest 64 of the lines that were logged meanwhile. A reader that is slow gets fewer states,
-        always the newest.
+        The first values are the newest of each. Then follow `robots` when one changes, at most ten times a second,
+        `links` and `clients` once a second, and each `log` line. The iteration pauses while the connection is lost;
+        afterwards it has the newest 64 lines of the pause. A slow reader gets fewer states, always the newest.
 
         Raises:
-            HostlinkError: in the iteration: when it begins, hostlink refuses or is not there; with `reconnect=False`
-                also when the connection is lost.
+            HostlinkError: in the iteration, hostlink refuses or was not reached; with `reconnect=False` also when the
+                connection is lost.
         """
         return self._connection.events("/api/events")
 
     def robot(self, name: str, *, priority: int = PRIORITY) -> Robot:
-        """The robot of that name; that it exists is found out by the first use.
+        """Return a handle of the robot of that name. The first use tells whether the robot exists.
 
-        `priority`, 0 to 100: a command of a higher one takes the robot over, one of a lower is refused. A program is
-        50, teleop 60.
+        `priority`, 0 to 100: a command of a higher priority takes the robot over, one of a lower priority is refused.
+        Programs have 50, teleop has 60.
         """
         return Robot(name, priority, http=self._http, driver=self._driver, connection=self._connection)
 
     async def stop_all(self, *, wait_s: float = WAIT_S) -> Stopped:
-        """Stop every robot, also those that others drive; return what was measured since, as `Robot.stop` does.
+        """Stop every robot, also those that other sources drive. Arguments and result are as for `Robot.stop`.
 
-        Boards that are not robots are sent zeros; `endpoints` of the result has their topics, also those that have no
-        zero.
+        Boards that are not robots are sent zeros, too. `endpoints` of the result has their topics, also those for
+        which no zero exists.
 
         Raises:
             StopFailed: a robot could not be sent a zero, or another daemon of the fleet has not answered; its `stopped`
@@ -146,9 +145,9 @@ class Host:
                 await self._driver.send_zero(name, PRIORITY)
 
     async def lock_all(self, reason: str, *, wait_s: float = WAIT_S) -> Stopped:
-        """The emergency stop of every robot and of boards that are not robots, also of those that connect later.
+        """Lock every robot, and boards that are not robots, also those that connect later, until `unlock_all`.
 
-        Returns what was measured since, as `stop_all` does. `unlock_all` ends it.
+        Each is stopped at once, without deceleration. Arguments and result are as for `stop_all`.
 
         Raises:
             StopFailed: as for `stop_all`. All that is reached is locked.
@@ -173,7 +172,7 @@ class Host:
         raise failure
 
     async def unlock_all(self) -> list[RobotState]:
-        """Let every robot and board be driven again; nothing that was held before drives them.
+        """Admit commands to every robot and board again. No robot moves by this.
 
         Raises:
             HostlinkError: hostlink was not reached, or robots of several daemons have one name.
@@ -184,7 +183,7 @@ class Host:
         return cast(list[RobotState], answer["robots"])
 
     async def standstill(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
-        """Measure by new odometry whether each robot has stopped, for at most `wait_s` seconds.
+        """Measure by new odometry, for at most `wait_s` seconds, whether each robot has stopped.
 
         Raises:
             HostlinkError: hostlink was not reached.
@@ -197,10 +196,10 @@ class Host:
     async def publish(
         self, topic: str, message: Mapping[str, Any], *, type_name: TypeName = "", priority: int = PRIORITY
     ) -> None:
-        """Send one message; fields that are missing are zero. `type_name` may be left out when the topic is known.
+        """Publish one message. Missing fields are zero; numbers and arrays of numpy are accepted.
 
-        It is a name, as "std_msgs/String", or a message class of genpy, rclpy or rosbags; in all calls that take one.
-        Numbers and arrays of numpy are as good as Python's.
+        `type_name` may be omitted when the topic is known. In all calls it is a name, such as "std_msgs/String", or a
+        message class of genpy, rclpy or rosbags.
 
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused. The refusal of the
@@ -211,7 +210,7 @@ class Host:
     async def publish_raw(
         self, topic: str, payload: bytes, *, type_name: TypeName = "", priority: int = PRIORITY
     ) -> None:
-        """Send one serialised message, as rosserial and ROS 1 have it.
+        """Publish one message in the serialisation of ROS 1.
 
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused.
@@ -220,18 +219,19 @@ class Host:
         await self._topics.publish(topic, {"raw": raw}, type_name_of(type_name), priority)
 
     def pop_refusal(self, topic: str) -> str:
-        """Return why a message on the topic was refused since the last call; empty if none was."""
+        """Return the reason for which a message on the topic was refused since the last call; empty if none was."""
         return self._topics.pop_refusal(topic)
 
     def advertise(
         self, topic: str, type_name: TypeName, *, is_latched: bool = False
     ) -> contextlib.AbstractAsyncContextManager[None]:
-        """Be a publisher of the topic for the length of the block, across losses of the connection too.
+        """Advertise a topic for the length of the block. It is advertised again after a lost connection.
 
         With `is_latched` programs that subscribe later get the last message.
 
         Raises:
-            HostlinkError: when it begins, there is no connection. An unknown type is raised by the next `publish`.
+            HostlinkError: at the begin of the block, there is no connection. The next `publish` raises for an
+                unknown type.
         """
         return self._topics.advertise(topic, type_name_of(type_name), is_latched=is_latched)
 
@@ -244,15 +244,23 @@ class Host:
         queue_length: int = 0,
         timeout_s: float | None = None,
     ) -> contextlib.AbstractAsyncContextManager[Subscription]:
-        """The messages of a topic, from now on, for the length of the block, across losses of the connection too.
+        """Subscribe to a topic for the length of the block. It is subscribed to again after a lost connection.
 
-        With `throttle_rate_ms` at most one message in so many milliseconds; the newest `queue_length` wait. Messages
-        are dicts as in docs/api.md. `dropped` of what this gives counts what the block was too slow for: the newest
-        256 wait. `timeout_s`: the longest wait for one message; None: without a bound.
+        Args:
+            topic: name of the topic.
+            type_name: its type; may be omitted when the topic is known.
+            throttle_rate_ms: shortest time between two messages, in milliseconds.
+            queue_length: number of newest messages that wait meanwhile.
+            timeout_s: longest wait for one message, in seconds; None: no limit.
+
+        Returns:
+            A block whose value iterates over the messages, as dicts (docs/api.md). Its newest 256 messages wait for
+            the block; `dropped` counts the others.
 
         Raises:
-            HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
-            NothingArrived: in the iteration, which may go on: no message arrived within `timeout_s`.
+            HostlinkError: at the begin of the block, there is no connection; in the iteration, the subscription was
+                refused.
+            NothingArrived: in the iteration, no message arrived within `timeout_s`. The iteration may go on.
         """
         options = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
         return self._topics.subscribe(topic, type_name_of(type_name), options, lambda message: message, timeout_s)
@@ -260,48 +268,49 @@ class Host:
     def subscribe_raw(
         self, topic: str, *, type_name: TypeName = "", timeout_s: float | None = None
     ) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
-        """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
+        """Subscribe to a topic's messages as bytes, with the time at which each reached the daemon; as `subscribe`.
 
-        Do not combine it with a `subscribe` of the same topic on one connection: the daemon sends each message once,
+        Do not combine it with a `subscribe` to the same topic on one connection: the daemon sends each message once,
         in one form.
 
         Raises:
-            HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
+            HostlinkError: at the begin of the block, there is no connection; in the iteration, the subscription was
+                refused.
         """
         return self._topics.subscribe(topic, type_name_of(type_name), RAW, read_raw, timeout_s)
 
     async def watch_graph(self) -> Graphs:
-        """The topics, services and robots of all who are not of this connection's group: now, and after every change.
+        """Return an iteration over the topics, services and robots outside of this connection's group.
 
-        docs/api.md has their fields. It lasts as long as the reader keeps what this returns, across losses of the
-        connection too.
+        The first value is the present graph; another one follows after each change (docs/api.md has the fields). The
+        iteration lasts as long as the reader keeps it, and continues after a lost connection.
 
         Raises:
-            HostlinkError: there is no connection when it begins.
+            HostlinkError: at the begin, there is no connection.
         """
         return await self._graph.watch()
 
     def serve(self, service: str, type_name: TypeName, answer: Answer) -> contextlib.AbstractAsyncContextManager[None]:
-        """Answer the calls of a service for the length of the block, across losses of the connection too.
+        """Provide a service for the length of the block. It is provided again after a lost connection.
 
-        `answer`, a function or a coroutine function, receives the request and returns the response, both as dicts;
-        None is an empty response, a HostlinkError fails the call.
+        `answer`, a function or a coroutine function, receives the request and returns the response, both as dicts.
+        None is an empty response. A HostlinkError that it raises fails the call.
 
         Raises:
-            HostlinkError: there is no connection when it begins.
+            HostlinkError: at the begin of the block, there is no connection.
         """
         return self._services.serve(service, type_name_of(type_name), answer)
 
     async def call(
         self, service: str, arguments: Mapping[str, Any] | None = None, *, timeout_s: float = REQUEST_TIMEOUT_S
     ) -> Any:
-        """Call a service; returns its response. Fields of the request that are missing are zero.
+        """Call a service and return its response. Missing fields of the request are zero.
 
         Raises:
-            Refused: no such service, it failed, or it did not answer within `timeout_s`: its `kind` is UnknownTopic,
-                ServiceFailed, DeviceBusy, DeviceGone, BadRequest ...
-            HostlinkError: the connection was lost meanwhile: then it is unknown whether the service ran, and it is not
-                called again.
+            Refused: the service does not exist, failed, or did not answer within `timeout_s` seconds. Its `kind` is
+                UnknownTopic, ServiceFailed, DeviceBusy, DeviceGone, BadRequest ...
+            HostlinkError: the connection was lost meanwhile. It is unknown whether the service ran; it is not called
+                again.
         """
         request = {"op": "call_service", "service": service, "args": arguments or {}, "timeout": timeout_s}
         answer = await self._connection.request(request, timeout_s=timeout_s + CLOSE_TIMEOUT_S)
@@ -313,17 +322,17 @@ class Host:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the connection is there; a cut shows within a second."""
+        """Whether the connection is open. A cut is noticed within a second."""
         return self._connection.is_connected
 
     def connection(self) -> Mailbox[ConnectionChange]:
-        """Each loss and each return of the connection from now on, with the robots whose velocity was dropped."""
+        """Return an iteration over losses and returns of the connection, with the robots whose drive ended."""
         watcher: Mailbox[ConnectionChange] = Mailbox("changes of the connection", self._connection.callers.note)
         self._watchers.add(watcher)
         return watcher
 
     async def get(self, path: str) -> dict[str, Any]:
-        """A GET of the REST API.
+        """Send a GET request to the REST API, and return the answer.
 
         Raises:
             HostlinkError: the daemon refuses, with its reason; or it was not reached.
@@ -331,7 +340,7 @@ class Host:
         return await self._http.request("GET", path)
 
     async def post(self, path: str, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """A POST of the REST API.
+        """Send a POST request to the REST API, and return the answer.
 
         Raises:
             HostlinkError: the daemon refuses, with its reason; or it was not reached.
@@ -339,7 +348,7 @@ class Host:
         return await self._http.request("POST", path, body)
 
     def download(self, path: str) -> AsyncIterator[bytes]:
-        """The pieces of a file, as a recording's; the connection may take as long as it needs.
+        """Iterate over the pieces of a file, for example of a recording. There is no time limit.
 
         Raises:
             HostlinkError: the daemon refuses, with its reason; it was not reached, or the connection is lost.
@@ -347,7 +356,7 @@ class Host:
         return self._http.download(path)
 
     async def send(self, request: Mapping[str, Any]) -> None:
-        """Send one rosbridge operation.
+        """Send one operation of rosbridge.
 
         Raises:
             HostlinkError: there is no connection.
@@ -355,7 +364,7 @@ class Host:
         await self._connection.send(request)
 
     async def settle(self) -> None:
-        """Wait until the daemon has read what was sent so far.
+        """Wait until the daemon has read everything that was sent so far.
 
         Raises:
             HostlinkError: a published message was refused, and the refusal was not reported yet; there is no
@@ -365,20 +374,20 @@ class Host:
         self._topics.raise_refusals()
 
     async def stop_driven(self, is_meant: Callable[[Repeated], bool] | None = None) -> tuple[str, ...]:
-        """Let go of what this connection drives: it stops, and another source that waits may drive on.
+        """Let go of the robots that this connection drives, and return their names. They stop.
 
-        It waits a second at most: nothing is repeated then, and the daemon stops what is left. `is_meant`: only these
-        velocities. Returns the names of the robots.
+        The call takes at most a second. Then nothing is repeated, and the daemon stops the rest. `is_meant` selects
+        some of the velocities.
         """
         names = self._driver.give_up(is_meant)
         await self._driver.let_go(names, PRIORITY)
         return names
 
     def end_cell(self, *, has_failed: bool) -> Names | None:
-        """Stop what ended tasks of the notebook drove without `keep`; after an error, everything.
+        """Stop the robots that ended tasks of a notebook's cell drove without `keep`; after an error, all of them.
 
-        A loop that does not run between cells, as IPython's in a terminal, repeats nothing: the daemon stops its
-        robots. The connection of a LoopThread has a loop of its own.
+        A loop that does not run between cells, such as IPython's in a terminal, repeats nothing: the daemon stops its
+        robots. The connection of a LoopThread has its own loop.
         """
         if self._tasks is None or asyncio.events._get_running_loop() is not self._loop:  # noqa: SLF001 - None, no error
             return None
@@ -410,7 +419,7 @@ class Host:
             watcher.put(change)
 
     async def _leave(self) -> None:
-        """Stop what is driven, and learn what was refused; a connection that is gone has stopped it already."""
+        """Stop the robots that are driven, and wait for refusals. After a lost connection they have stopped already."""
         await self.stop_driven()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
@@ -443,52 +452,57 @@ def connect(
     idle_timeout_s: float = IDLE_TIMEOUT_S,
     name: str = "",
 ) -> "Connecting":
-    """A connection to hostlink for the length of the block. Leaving it stops every robot that it drives.
+    """Connect to hostlink for the length of the block. At its end every robot that it drives stops.
 
-    `url`: http, https, ws or wss. `token`: one of the daemon's configuration, also as `?token=` in the URL.
-    `ssl`: trust a certificate of your own. `reconnect`: when the connection is lost it is made again, subscriptions
-    and advertisements too, velocities never; without it, every wait for a message raises. `group`: of a bridge
-    to another graph, as ROS 2: it receives nothing that a connection of the same group has published. `idle_timeout_s`:
-    a robot that the program drives stops when the thread (with asyncio the task) that drives it makes no call of the
-    connection for so long; `math.inf`: never. `name`: of this program, for those who ask who drives.
+    Args:
+        url: http, https, ws or wss.
+        token: one of the daemon's configuration; also as `?token=` in the URL.
+        ssl: context that trusts a certificate of your own.
+        reconnect: connect again after a lost connection, with all subscriptions and advertisements. Velocities are
+            never resumed. False: every wait for a message raises.
+        group: name of a bridge to another graph, such as ROS 2. Connections of one group do not receive each other's
+            messages.
+        idle_timeout_s: a robot that is driven stops when the thread (with asyncio: the task) that drives it has made
+            no call for so many seconds; `math.inf`: no limit.
+        name: name of this program, which is shown as the holder of a robot.
 
     Raises:
-        HostlinkError: when the block begins: there is no hostlink at `url`, or it refuses. At its end: a message that
-            was published in it was refused.
+        HostlinkError: at the begin of the block, there is no hostlink at `url`, or it refuses; at its end, a message
+            that was published in it was refused.
     """
     connected = _connected(url, token, ssl, reconnect=reconnect, group=group, idle_timeout_s=idle_timeout_s, name=name)
     return Connecting(url, connected)
 
 
 class Connecting(contextlib.AbstractAsyncContextManager[Host]):
-    """A connection that is not open yet: `async with` opens it, and every other use explains that."""
+    """Connection that is not open yet. `async with` opens it; every other use raises an error that says so."""
 
     def __init__(self, url: str, connected: contextlib.AbstractAsyncContextManager[Host]) -> None:
         self._url, self._connected = url, connected
 
     async def __aenter__(self) -> Host:
-        """Open it."""
+        """Open the connection."""
         return await self._connected.__aenter__()
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> bool | None:
-        """Stop what is driven, and close it."""
+        """Stop the robots that are driven, and close the connection."""
         return await self._connected.__aexit__(kind, error, traceback)
 
     def __enter__(self) -> NoReturn:
-        """`with` instead of `async with`."""
+        """Refuse `with`, which is not `async with`."""
         raise HostlinkError(f"{self!r} {_ADVICE}")
 
     def __exit__(self, *_: object) -> None:
-        """Python looks for it before it enters."""
+        """Do nothing: Python looks for this method before it enters."""
 
     def __await__(self) -> Generator[Any, Any, NoReturn]:
-        """`await connect()`."""
+        """Refuse `await connect()`."""
         raise HostlinkError(f"{self!r} {_ADVICE}")
 
     def __getattr__(self, name: str) -> NoReturn:
-        """`connect().robots()`."""
+        """Refuse calls such as `connect().robots()`."""
         raise AttributeError(f"{name!r}: {self!r} {_ADVICE}")
 
     def __repr__(self) -> str:

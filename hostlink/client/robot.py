@@ -16,7 +16,7 @@ WAIT_S = 1.5  # for the odometry of a robot that was stopped
 
 
 class Robot:
-    """One robot of a host; get one from `Host.robot`."""
+    """Handle of one robot of a host, from `Host.robot`."""
 
     def __init__(
         self, name: str, priority: int, *, http: HttpClient, driver: VelocitySender, connection: HostConnection
@@ -37,14 +37,14 @@ class Robot:
 
     @property
     def client_name(self) -> str | None:
-        """Name of this connection at the daemon, as in `holder` of `state()`; None before the first command."""
+        """Name of this connection at the daemon, as `holder` of `state()` shows it; None before the first command."""
         return self._driver.client_name
 
     async def state(self) -> RobotState:
-        """Connected, holder, velocity (m/s, rad/s) and odometry, as they are now.
+        """Return the present state: connected, holder, velocity (m/s, rad/s), odometry.
 
         Raises:
-            HostlinkError: no robot of that name, no hostlink.
+            HostlinkError: the robot does not exist, or hostlink was not reached.
         """
         return cast(RobotState, await self._http.request("GET", self._path))
 
@@ -99,27 +99,34 @@ class Robot:
     ) -> Driven | Motion:
         """Drive until the next `drive` or `stop`, or until the connection's block is left; or for `for_s` seconds.
 
-        m/s forward, rad/s counter-clockwise, m/s to the left. Returns when the daemon has accepted the command, with
-        what the robot's limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and
-        continues to drive; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does, and
-        so do 10 s without a call of the thread (with asyncio of the task) that drives: `connect` has `idle_timeout_s`.
+        The call returns when the daemon has accepted the command. The velocity is then repeated ten times a second.
+        `drive(0, 0)` slows the robot down and continues to hold it; `stop()` stops the robot and lets it go. A stop or
+        a lock by any program ends the drive. So do 10 s without a call of the thread (with asyncio: of the task) that
+        drives; `idle_timeout_s` of `connect` changes them.
 
-        With `for_s` it returns when the time is over and a zero was sent, or when something has stopped the robot
-        earlier: a Motion whose `outcome` is `reached` or `stopped`. With `keep` the robot drives on without calls, and
-        after the end of a notebook's cell, which else stops it.
+        Args:
+            linear_m_s: velocity forward, in m/s.
+            angular_rad_s: velocity of the turn, counter-clockwise, in rad/s.
+            linear_y_m_s: velocity to the left, in m/s.
+            for_s: duration in seconds. The call returns when a zero was sent after it, or when the robot was stopped
+                earlier.
+            keep: the drive continues without further calls, and after the end of a notebook's cell.
+            take_over: take the robot over from another source of the same priority, which otherwise keeps it until it
+                lets go. A source that was taken over must let go before it drives or takes over again.
+            resume: continue after an interruption without letting go.
 
-        Another source of the same priority keeps the robot until it lets go; with `take_over` this one takes it over.
-        Who was taken over must let go before it drives or takes over again.
+        Returns:
+            The velocity after the robot's limits; with `for_s` a Motion whose `outcome` is `reached` or `stopped`.
 
         Raises:
-            HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, a source
-                with a higher priority drives it, or one with the same priority and `take_over` is not given, it is
-                locked, the numbers are not finite, it cannot move sideways, there is no connection to hostlink. Also
-                after the velocity that was held before was dropped: by a cut of the connection, by such a refusal, by
-                a stop, because the robot's device connected again, this program did not run, or could not send, for
-                half a second, or made no call for `idle_timeout_s`. Then each `drive()` raises until the program lets
-                go: by `stop()`, a zero, or half a second without `drive()`; or until it says `resume`.
-            CommandRefused: one of these, with `kind` for programs. `holder` is who drives the robot, for `held`.
+            HostlinkError: the robot is not driven. It does not exist, its device is not connected, it is locked, it
+                cannot move sideways, a source of a higher priority drives it, or one of the same priority without
+                `take_over`; the numbers are not finite; or there is no connection to hostlink. After an interruption
+                each `drive()` raises until the program lets go by `stop()`, a zero, or half a second without
+                `drive()`, or passes `resume`. Interruptions: a lost connection, a refusal, a stop, a reconnection of
+                the device, half a second in which this program did not run or could not send, `idle_timeout_s`
+                without a call.
+            CommandRefused: one of these, with its `kind`; for `held`, `holder` names the source that drives the robot.
         """
         velocity = PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s)
         if for_s is None:
@@ -139,17 +146,25 @@ class Robot:
         take_over: bool = False,
         resume: bool = False,
     ) -> Motion:
-        """Move along a line by odometry, and stop; negative `metres` lead backwards.
+        """Move along a line by odometry, and stop.
 
-        It returns when the robot has stopped, or when something has stopped it earlier: `outcome` is `reached`,
-        `blocked` (the odometry does not advance), `stopped` (with `kind`, `by` and `reason`) or `timed_out`. The robot
-        is also stopped when it has no odometry for half a second, or leaves the line by 0.3 m. `on_progress` is called
-        with a Progress for each pose. `timeout_s` is by default 10 s and four times what the speed needs. `take_over`
-        and `resume` are those of `drive`.
+        The robot is also stopped when no odometry arrives for half a second, or when it is 0.3 m away from the line.
+
+        Args:
+            metres: length of the line; negative: backwards.
+            speed_m_s: speed in m/s, at least 0.02.
+            timeout_s: longest duration in seconds; None: 10 s plus four times the duration at this speed.
+            on_progress: called with a Progress for each pose.
+            take_over: as for `drive`.
+            resume: as for `drive`.
+
+        Returns:
+            A Motion. Its `outcome` is `reached`, `blocked` (the odometry does not advance), `stopped` (with `kind`,
+            `by` and `reason`) or `timed_out`.
 
         Raises:
-            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose,
-                or a number is invalid.
+            HostlinkError: nothing was driven. The first command was refused, the robot has no pose, or a number is
+                invalid.
         """
         course, begin = line(metres, speed_m_s, timeout_s), Begin(take_over, resume)
         require_pose(await self.state())
@@ -165,11 +180,19 @@ class Robot:
         take_over: bool = False,
         resume: bool = False,
     ) -> Motion:
-        """Turn on the spot by odometry, and stop; counter-clockwise is positive. It ends as `move` does.
+        """Turn on the spot by odometry, and stop. Arguments and result are as for `move`.
+
+        Args:
+            radians: angle; positive: counter-clockwise.
+            speed_rad_s: speed of the turn in rad/s, at least 0.05.
+            timeout_s: longest duration in seconds; None: 10 s plus four times the duration at this speed.
+            on_progress: called with a Progress for each pose.
+            take_over: as for `drive`.
+            resume: as for `drive`.
 
         Raises:
-            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, the robot has no pose,
-                or a number is invalid.
+            HostlinkError: nothing was driven. The first command was refused, the robot has no pose, or a number is
+                invalid.
         """
         course, begin = turn(radians, speed_rad_s, timeout_s), Begin(take_over, resume)
         require_pose(await self.state())
@@ -185,14 +208,20 @@ class Robot:
         is_planar: bool = True,
         take_over: bool = False,
     ) -> None:
-        """Send one velocity, which lasts for half a second and is not repeated: for programs that decide each time.
+        """Send one velocity, which lasts for half a second and is not repeated. For control loops.
 
-        It does not wait for the answer; `refusal` has it. Commands less than half a second apart are one motion: after
-        a stop, a lock or a reconnection of the device the motion is refused, until a zero or half a second without
-        commands ends it. A command that the network delivers too late is refused, too. `epoch` is the robot's, as in
-        `state()`, when the decision was made: after an interruption since then the command is refused. `is_planar` is
-        False for a Twist with other components that are not zero: no robot obeys it, and it is refused. `take_over`
-        is that of `drive`.
+        The call does not wait for the answer, which `refusal` shows. Commands less than half a second apart are one
+        motion. After a stop, a lock or a reconnection of the device the motion is refused until a zero, or half a
+        second without commands, ends it. A command that arrives more than half a second late is refused, too.
+
+        Args:
+            linear_m_s: velocity forward, in m/s.
+            angular_rad_s: velocity of the turn, counter-clockwise, in rad/s.
+            linear_y_m_s: velocity to the left, in m/s.
+            epoch: `epoch` of `state()` at the time of the decision. The command is refused if the robot was
+                interrupted since then.
+            is_planar: False for a Twist whose other components are not zero, which every robot refuses.
+            take_over: as for `drive`.
 
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection to hostlink.
@@ -209,15 +238,19 @@ class Robot:
         return self._driver.refusals.get(self.name)
 
     async def stop(self, *, wait_s: float = WAIT_S) -> StoppedRobot:
-        """Stop the robot, also if others drive it; return what was measured since. Its decelerations apply.
+        """Stop the robot, also if another source drives it. The robot's decelerations apply.
 
-        What else its devices take that looks like a command is sent a zero; `endpoints` of the result has these topics.
+        The stop is sent before the call waits. Other topics of the robot's devices that look like commands are sent
+        zeros, too. A source that was driving must let go before it can drive again.
 
-        The stop is sent at once. The measurement lasts until the robot has stopped, at most `wait_s` seconds; 0 does
-        not wait. A source that was driving must let go before it can drive again.
+        Args:
+            wait_s: longest measurement, in seconds; 0: do not wait.
+
+        Returns:
+            What odometry says since the stop; `endpoints` has the other topics.
 
         Raises:
-            HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
+            HostlinkError: hostlink was not reached within a second. The drives of this connection end anyway.
         """
         self._driver.stop_repeating(self.name)
         try:
@@ -228,9 +261,9 @@ class Robot:
         return await self._stopped(answer, wait_s)
 
     async def lock(self, reason: str, *, wait_s: float = WAIT_S) -> StoppedRobot:
-        """The emergency stop: zero at once, and every command of everybody is refused until `unlock`.
+        """Stop the robot at once, without deceleration, and refuse all commands until `unlock`.
 
-        Returns what was measured since, as `stop` does.
+        Arguments and result are as for `stop`; `reason` is shown to every program whose command is refused.
 
         Raises:
             HostlinkError: hostlink was not reached within a second.
@@ -246,9 +279,10 @@ class Robot:
         return StoppedRobot.of(found, [each for each in endpoints(answer) if each["robot"] == self.name])
 
     async def unlock(self) -> None:
-        """Let it be driven again; nothing that was held before drives it.
+        """Admit commands again. The robot does not move by this.
 
-        This script knows of the lock: its next `drive()` drives, unless the robot was interrupted again meanwhile.
+        Other sources that were driving must let go first. The next `drive()` of this connection drives, unless the
+        robot was interrupted again meanwhile.
 
         Raises:
             HostlinkError: hostlink was not reached.
@@ -257,22 +291,22 @@ class Robot:
         self._driver.note_own_unlock(self.name, answer)
 
     async def reset_odometry(self) -> None:
-        """Make the present place the origin.
+        """Set the odometry's origin to the present pose.
 
         Raises:
-            HostlinkError: the robot cannot do that, or is not connected.
+            HostlinkError: the robot has no such command, or is not connected.
         """
         await self._http.request("POST", f"{self._path}/odometry/reset")
 
     async def odometry(self) -> AsyncIterator[Odometry]:
-        """The newest pose (m, rad), then each new one once, with twist (m/s, rad/s), stamp (ns), age (s) and rate (Hz).
+        """Iterate over the odometry: the newest pose (m, rad), then each new one.
 
-        It pauses while the robot or the connection is gone, and continues afterwards. A slow reader gets fewer
-        of them.
+        Each has the twist (m/s, rad/s), the stamp (ns), the age (s) and the rate (Hz). The iteration pauses while the
+        robot or the connection is lost. A slow reader gets fewer poses, always the newest.
 
         Raises:
-            HostlinkError: when it begins: no robot of that name, no hostlink; with `reconnect=False` also when the
-                connection is lost.
+            HostlinkError: at the first pose, the robot does not exist or hostlink was not reached; with
+                `reconnect=False` also when the connection is lost.
         """
         count = None
         async for event in self._connection.events(f"{self._path}/odometry/events"):

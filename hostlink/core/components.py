@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import functools
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from typing import Any
 
 import structlog
@@ -110,6 +110,16 @@ async def _run_once(hub: Hub, name: str, make: Make, counts: Counter[str], kept:
     if isinstance(error, Exception) and not isinstance(error, HostlinkError | OSError):
         hub.isolation.crashed("component", error, component=name)
     return str(error) or repr(error)
+
+
+@contextlib.contextmanager
+def hosted_part(hub: Hub, name: str) -> Iterator[Host]:
+    """Make the host of a part of the daemon for the length of a block. A crash of spawned work ends only that work."""
+    host = Host(hub, name, lambda work, part: hub.spawn(work, name=part), Counter())
+    try:
+        yield host
+    finally:
+        host.close()
 
 
 @contextlib.asynccontextmanager

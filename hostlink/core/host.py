@@ -5,35 +5,45 @@ A component offers the robots to something outside: a broker, a cloud, a display
 """
 
 import contextlib
+import itertools
 import time
 from collections import Counter
-from collections.abc import Callable, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import AbstractContextManager
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from weakref import WeakValueDictionary
 
 import structlog
 
+from hostlink.core.config import ParameterValue
 from hostlink.core.hub.byte_budget import Share
 from hostlink.core.hub.device import CommandEndpoint
-from hostlink.core.hub.graph_view import Graph, GraphService, GraphTopic
-from hostlink.core.hub.hub import Hub, Listening
+from hostlink.core.hub.devices import Capture, Devices
+from hostlink.core.hub.graph_view import OBSERVERS, Graph, GraphService, GraphTopic, is_imported
+from hostlink.core.hub.hub import DAEMON, Hub, Listening
 from hostlink.core.hub.isolation import Spawn
+from hostlink.core.hub.measures import LinkMeasures, Measures, RobotMeasures
 from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.core.hub.node import Role
-from hostlink.core.hub.parameters import ParameterSource
-from hostlink.core.hub.participant import MAX_ADVERTISED, Participant
+from hostlink.core.hub.node_graph import KnownTopic, NodeGraph, VelocityTopic
+from hostlink.core.hub.parameters import ParameterSource, to_parameter
+from hostlink.core.hub.participant import MAX_ADVERTISED, MAX_CALLS, MAX_SUBSCRIPTIONS, Participant
 from hostlink.core.hub.providers import Provision, RobotProvider
 from hostlink.core.hub.queue import Queue
+from hostlink.core.hub.reloader import Prepare, Reloaded
 from hostlink.core.hub.remote_robot import RemoteRobot, RemoteRobots
-from hostlink.core.hub.robot import AnyRobot
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.hub.robot import LOCK_REASON, AnyRobot
+from hostlink.core.hub.robot_handle import Measured, RecordedMotion, RobotHandle
 from hostlink.core.hub.robot_topic_publisher import own_topics
 from hostlink.core.hub.robots_here import RobotHere, RobotsHere
-from hostlink.core.hub.standstills import own_services
+from hostlink.core.hub.standstills import MAX_WAIT_S, WAIT_S, own_services
+from hostlink.core.hub.stops import Stops
 from hostlink.core.hub.subscription import Subscription
 from hostlink.core.hub.topic import Receive
+from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.link.fair_share import Turns
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.state import RobotState
 from hostlink.core.robot.velocity import PlanarVelocity
@@ -41,15 +51,61 @@ from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import BadRequest, HostlinkError
 
 __all__ = [
-    "API_VERSION", "MAX_ADVERTISED", "CommandEndpoint", "Component", "EventKind", "Graph", "GraphService", "GraphTopic",
-    "Host", "Listening", "Message", "Participant", "PlanarVelocity", "Queue", "Receive", "RemoteRobot", "RemoteRobots",
-    "RobotEvent", "RobotHere", "RobotProvider", "RobotState", "RobotsHere", "Role", "Spawn", "Standstill", "Stopped",
+    "API_VERSION",
+    "LOCK_REASON",
+    "MAX_ADVERTISED",
+    "MAX_CALLS",
+    "MAX_SUBSCRIPTIONS",
+    "MAX_WAIT_S",
+    "OBSERVERS",
+    "PROGRAM_PRIORITY",
+    "WAIT_S",
+    "Capture",
+    "CommandEndpoint",
+    "Component",
+    "Devices",
+    "EventKind",
+    "Graph",
+    "GraphService",
+    "GraphTopic",
+    "Host",
+    "KnownTopic",
+    "LinkMeasures",
+    "Listening",
+    "Measured",
+    "Measures",
+    "Message",
+    "NodeGraph",
+    "Participant",
+    "PlanarVelocity",
+    "Queue",
+    "Receive",
+    "RecordedMotion",
+    "Reloaded",
+    "RemoteRobot",
+    "RemoteRobots",
+    "RobotEvent",
+    "RobotHandle",
+    "RobotHere",
+    "RobotMeasures",
+    "RobotProvider",
+    "RobotState",
+    "RobotsHere",
+    "Role",
+    "Share",
+    "Spawn",
+    "Standstill",
+    "Stopped",
+    "Stops",
     "Subscription",
+    "TopicSource",
+    "Turns",
+    "VelocityTopic",
+    "resolve",
+    "to_parameter",
 ]  # fmt: skip
 
-API_VERSION = (1, 0)  # the second number grows with what is added, the first with what is removed or changed
-
-MANY = 16
+API_VERSION = (1, 1)  # the second number grows with what is added, the first with what is removed or changed
 
 log = structlog.get_logger()
 Settings = TypeVar("Settings")
@@ -61,6 +117,14 @@ class Stopped(NamedTuple):
 
     robots: dict[str, Standstill]
     unreached: tuple[str, ...]  # "topic: reason" of boards and topics without a robot; of all also "robot: reason"
+
+
+class TopicSource(NamedTuple):
+    """Source of a topic's messages: a robot, a device, another graph."""
+
+    robot: str  # of the device that publishes or takes it, or whose name the topic begins with; empty: of none
+    is_device: bool  # a device publishes it
+    is_elsewhere: bool  # only other graphs publish it and no device takes it, or it is of a robot of another daemon
 
 
 class Component(Generic[Settings]):
@@ -95,7 +159,10 @@ class Component(Generic[Settings]):
 
 
 class Host:
-    """Interface of one run of a component. All that the run takes by it ends with the run: its robots stop."""
+    """Interface of one run of a component. All that the run takes by it ends with the run: its robots stop.
+
+    `devices`, `graph`, `stops` and `measures` are for components that show all of the daemon, as the gateway does.
+    """
 
     def __init__(
         self,
@@ -107,16 +174,23 @@ class Host:
     ) -> None:
         """`spawn` runs work as long as the component. `counts` and `kept` are of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
-        self._participants: list[Participant] = []  # with some that have left
-        self._most = MANY  # of them, before those that have left are removed
-        self._watcher: Participant | None = None  # for what is read without a participant
+        # One that the hub and the component have let go of is not kept, nor what its callbacks refer to.
+        self._participants: WeakValueDictionary[int, Participant] = WeakValueDictionary()
+        self._numbers = itertools.count(1)
+        self._follower: Participant | None = None  # of poses
         self._source: ParameterSource | None = None
         self._has_clock = False
+        self._prepares: list[Prepare] = []
+        self.devices = Devices(hub)  # connected devices and their connections
+        self.graph = NodeGraph(hub)  # topics, services and nodes
+        self.stops = Stops(hub.robots, hub.gates, hub.standstills)  # of every robot and board
+        self.measures = Measures(hub)  # counters
+        self.came_s = hub.gates.came_s  # earliest time at which what is read at a time may have arrived
+        self.hold_writes, self.write_held = hub.gates.hold, hub.gates.write  # velocities of one turn, written at once
         self._has_ended = False
         self._kept = {} if kept is None else kept
         self._remote: list[RemoteRobots] = []
         self._here: RobotsHere | None = None
-        self.came_s = hub.gates.came_s  # earliest time at which what is read at a time may have arrived
         self.log = log.bind(component=name)
 
     # -- robots -------------------------------------------------------------------------------------------------------
@@ -126,13 +200,51 @@ class Host:
         now_s = loop_time_s()
         return [robot.state(now_s) for robot in self._hub.robots.all()]
 
-    def robot(self, name: str) -> RobotState:
-        """Return the present state of a robot.
+    def robot(self, name: str, *, is_here: bool = False) -> RobotState:
+        """Return the present state of a robot; with `is_here` only of one whose device belongs to this daemon.
 
         Raises:
             UnknownTopic: there is no robot of this name.
         """
-        return self._hub.robots.find(name).state(loop_time_s())
+        robots = self._hub.robots
+        found = robots.find_here(name.strip("/")) if is_here else robots.find(name)
+        return found.state(loop_time_s())
+
+    def has_robot(self, name: str) -> bool:
+        """Whether a robot of this name exists, here or at another daemon."""
+        return self._hub.robots.has(name)
+
+    def is_played(self, robot: str) -> bool:
+        """Whether the device of a robot here is a recording that is played."""
+        found = self._hub.robots.get_here(robot)
+        return found is not None and found.is_played
+
+    def states(self) -> Iterator[RobotState]:
+        """Yield what `robots` returns. Each state is made when it is asked for, so that the work can be spread."""
+        return (robot.state(loop_time_s()) for robot in self._hub.robots.all())
+
+    def find(self, name: str, *, driver: Callable[[], Participant] | None = None) -> RobotHandle:
+        """Return the robot of this name, connected or not. `driver` returns the source that wants to drive it.
+
+        Raises:
+            UnknownTopic: there is none. What the source repeats moves no robot that has this name later.
+        """
+        return self._handle(self._hub.robots.find(name, driver=driver))
+
+    def find_to_stop(self, name: str) -> RobotHandle:
+        """Return the robot of this name, for a stop or a lock; also one of the settings that was not connected yet.
+
+        Raises:
+            UnknownTopic: there is none, and the settings do not name it.
+        """
+        return self._handle(self._hub.robots.find_to_stop(name))
+
+    def robots_here(self) -> list[RobotHandle]:
+        """Return the robots of this daemon by name, connected or not yet forgotten."""
+        return [self._handle(robot) for robot in self._hub.robots.here()]
+
+    def _handle(self, robot: AnyRobot) -> RobotHandle:
+        return RobotHandle(robot, self._hub.robots, self._hub.standstills)
 
     def drive(
         self,
@@ -229,18 +341,22 @@ class Host:
     def follow(self, robot: str, receive: Callable[[], None]) -> None:
         """Call `receive` after each new pose of a robot, until the run ends or the robot is forgotten.
 
+        A second `receive` for the same robot replaces the first one.
+
         Raises:
             UnknownTopic: there is no robot of this name.
         """
-        self._watching().follow(self._hub.robots.find(robot), receive)
+        if self._follower is None:
+            self._follower = self.join(self._name, role=Role.READ)
+        self._follower.follow(self._hub.robots.find(robot), receive)
 
     def observe(self, receive: Callable[[RobotEvent], None]) -> None:
         """Call `receive` with every event of robots and links, until the run ends."""
-        self._watching().observe(receive)
+        self.join(self._name, role=Role.READ).observe(receive)
 
     def watch_graph(self, on_change: Callable[[], None]) -> None:
         """Call `on_change` soon, and soon after every change of robots, topics and services, until the run ends."""
-        self._watching().watch_graph(on_change)
+        self.join(self._name, role=Role.READ).watch_graph(on_change)
 
     # -- topics and services ------------------------------------------------------------------------------------------
 
@@ -264,24 +380,52 @@ class Host:
         Raises:
             BadRequest: the run has ended.
         """
-        if self._has_ended:
-            raise BadRequest(f"{name}: the run of {self._name} has ended")
-        participant = Participant(self._hub, name, role=role, priority=priority, group=group, on_end=on_end)
-        if len(self._participants) >= self._most:
-            self._participants = [each for each in self._participants if not each.has_left]
-            self._most = max(MANY, 2 * len(self._participants))
-        self._participants.append(participant)
-        return participant
+        return self._joined(Participant(self._hub, name, role=role, priority=priority, group=group, on_end=on_end))
 
-    def _watching(self) -> Participant:
-        if self._watcher is None:
-            self._watcher = self.join(self._name, role=Role.READ)
-        return self._watcher
+    def join_as_daemon(self) -> Participant:
+        """Join as a part of the daemon: its services precede all others, and no failure of a callback ends it."""
+        return self._joined(self._hub.join_daemon())
+
+    def join_as_observer(self, *, group: str = "") -> Participant:
+        """Join as a part of the daemon that only reads: to any number of topics, and no failure of a callback ends it.
+
+        `group` is as for `join`; a subscription of the group `OBSERVERS` alone makes no topic worth importing from
+        another graph.
+        """
+        return self._joined(Participant(self._hub, DAEMON, role=Role.READ, is_daemon=True, group=group))
+
+    def _joined(self, participant: Participant) -> Participant:
+        if self._has_ended:
+            raise BadRequest(f"{participant.name}: the run of {self._name} has ended")
+        self._participants[next(self._numbers)] = participant
+        return participant
 
     @property
     def messages(self) -> Catalog:
         """The known types of messages and services."""
         return self._hub.catalog
+
+    @property
+    def parameters(self) -> MutableMapping[str, ParameterValue]:
+        """Parameters for devices, by name as in the settings. What is changed holds until the daemon ends.
+
+        A value is one that `to_parameter` accepts.
+        """
+        return self._hub.parameters
+
+    def topic_source(self, topic: str) -> TopicSource:
+        """Return where the messages of a topic come from."""
+        robots, first = self._hub.robots, topic.lstrip("/").partition("/")[0]
+        is_remote = first in robots.remote and robots.get_here(first) is None
+        found = self._hub.topics.find_or_none(topic)
+        if found is None:
+            return TopicSource(first if robots.has(first) else "", is_device=False, is_elsewhere=is_remote)
+        users = [robot for robot in map(robots.of_link, (*found.publishers, *found.devices)) if robot is not None]
+        return TopicSource(
+            users[0].name if len(users) == 1 else first if robots.has(first) else "",
+            is_device=found.has_device_publisher,
+            is_elsewhere=is_remote or (not found.devices and is_imported(found)),
+        )
 
     def device_names(self) -> list[tuple[str, str]]:
         """Return each name of a topic or service that a device has announced, with its name in the graph."""
@@ -312,6 +456,22 @@ class Host:
         """Answer devices' requests for the time by this clock, in nanoseconds; None: by the computer's."""
         self._hub.links.wall_ns = time.time_ns if wall_ns is None else wall_ns
         self._has_clock = wall_ns is not None
+
+    # -- settings -----------------------------------------------------------------------------------------------------
+
+    def on_reload(self, prepare: Prepare) -> None:
+        """Let `prepare` check the settings of each reload, in a thread. It returns the function that applies them."""
+        self._prepares.append(prepare)
+        self._hub.reloader.prepares.append(prepare)
+
+    async def reload(self) -> Reloaded:
+        """Read the settings again, and apply what can change without a restart, or nothing.
+
+        Raises:
+            ReloadRefused: there is no file, it cannot be read in time, or a robot that is driven would be renamed.
+            ConfigError: a setting is wrong.
+        """
+        return await self._hub.reloader.reload()
 
     # -- robots of other hosts, and other daemons that use those here ----------------------------------------
 
@@ -402,14 +562,14 @@ class Host:
         """Log and count an exception that was caught, as `around` does."""
         self._hub.isolation.crashed(what, error, **facts)
 
-    def report(self, problem: str) -> None:
-        """Say what is wrong with the component, as `hostlink doctor` shows it; empty: it works."""
-        self._hub.diagnoses.observe_own(self._name, "component_troubled" if problem else "", problem)
+    def report(self, problem: str, *, code: str = "component_troubled") -> None:
+        """Say what is wrong with the component, as `hostlink doctor` shows it; empty: it works. `code`: its finding."""
+        self._hub.diagnoses.observe_own(self._name, code if problem else "", problem)
 
     def close(self, *, is_resumed: bool = False) -> None:
         """End everything that the run took. Called by the daemon. `is_resumed`: another run follows."""
         self._has_ended = True
-        for participant in self._participants:
+        for participant in list(self._participants.values()):
             participant.leave()
         self._participants.clear()
         for robots in self._remote:
@@ -420,6 +580,9 @@ class Host:
             self.answer_parameters(None)
         if self._has_clock:
             self.set_clock(None)
+        for prepare in self._prepares:
+            self._hub.reloader.prepares.remove(prepare)
+        self._prepares.clear()
 
 
 async def _raise(error: Exception) -> None:

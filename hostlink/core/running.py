@@ -15,6 +15,7 @@ from hostlink.core.guardian.guardian import guarded
 from hostlink.core.host import Host
 from hostlink.core.hub.gates import Guard
 from hostlink.core.hub.hub import Hub, Listening
+from hostlink.core.hub.reloader import Read
 from hostlink.core.hub.stall_watch import slept_s
 from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
 from hostlink.core.messages.catalog import Catalog
@@ -64,6 +65,7 @@ async def running(
     config: Config,
     *,
     guard: Guard | None = None,
+    read: Read | None = None,
     around: Around = contextlib.nullcontext,
     own: Mapping[str, Make] | None = None,
     on_listening: Callable[[], None] = lambda: None,
@@ -72,13 +74,13 @@ async def running(
     """Run a hub with its listeners and components for the length of a block.
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
-    `own` are further components by name. `around` begins before the first device is accepted, and ends after the
-    robots were stopped. `on_listening` is called when every port is open. `listening` are the sockets for
-    devices, if they are open already.
+    `read` reads the settings again, as a new start would. `own` are further components by name. `around` begins before
+    the first device is accepted, and ends after the robots were stopped. `on_listening` is called when every port is
+    open. `listening` are the sockets for devices, if they are open already.
     """
     folders = config.message_folders  # one may be on a dead disk: the loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
-    hub = Hub(config, catalog, guard=guard, slept_s=slept_s, computed_s=thread_time)
+    hub = Hub(config, catalog, guard=guard, read=read, slept_s=slept_s, computed_s=thread_time)
     try:
         async with (
             _hub_running(hub),

@@ -554,7 +554,7 @@ OTHERS = {
     "components/zenoh/fleet.py: self._robots.follow": "poses",
     "components/zenoh/fleet_topics.py: self._participant.publish": "what a device elsewhere sends; no velocity",
     "core/hub/device.py: self.link.session.publish": "to the device",
-    "core/host.py: self._watching().follow": "poses",
+    "core/host.py: self._follower.follow": "poses",
     "core/hub/diagnostics_topic.py: self._participant.publish": "diagnostics",
     "core/hub/gates.py: link.session.publish": "to the device",
     "core/hub/robot_topic_publisher.py: topic.publish": "odometry",

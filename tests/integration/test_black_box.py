@@ -15,7 +15,7 @@ from aiohttp.test_utils import make_mocked_request
 
 from hostlink.components.gateway.history import HistoryRoutes
 from hostlink.components.recorder import black_box
-from hostlink.components.recorder.black_box import MAX_CHANNELS, BlackBox
+from hostlink.components.recorder.black_box import MAX_CHANNELS
 from hostlink.components.recorder.channel import Channel
 from hostlink.components.recorder.reader import McapReader, StoredMessage
 from hostlink.core.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
@@ -23,6 +23,7 @@ from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.detached import start_python
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.hosts import black_box_of, host_of
 from tests.support.waiting import TIMEOUT_S, expect
 
 FORWARD, STANDING = ({"linear_m_s": speed_m_s, "linear_y_m_s": 0.0, "angular_rad_s": 0.0} for speed_m_s in (0.2, 0.0))
@@ -149,8 +150,8 @@ async def test_histories_are_made_one_at_a_time(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, _):
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         (incident,) = await saved(host)
-        box = BlackBox(host.hub, tmp_path)
-        histories = HistoryRoutes(host.hub, box, box.folder)
+        box = black_box_of(host.hub, tmp_path)
+        histories = HistoryRoutes(host_of(host.hub), box, box.folder)
         histories._turn = Turn(1)
         handler_of = {route.path: route.handler for route in histories.routes()}
         handlers = [handler_of["/api/robots/{name}/history"], handler_of["/api/incidents/{name}/history"]]
@@ -246,7 +247,7 @@ async def test_a_process_that_writes_what_the_daemon_left_is_waited_for(
     monkeypatch.setattr(black_box, "END_S", 0.0)
     monkeypatch.setattr(black_box, "start_python", start)
     async with boxed(config(tmp_path)) as (host, _):
-        box = BlackBox(host.hub, tmp_path)
+        box = black_box_of(host.hub, tmp_path)
         await box.save("robot_0", "late")
         await box.aclose()
     await expect(lambda: started[0].returncode == 0)  # otherwise it is a zombie
@@ -255,7 +256,7 @@ async def test_a_process_that_writes_what_the_daemon_left_is_waited_for(
 async def test_newest_of_many_short_lived_channels_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(black_box, "END_S", TIMEOUT_S)  # else another process writes the file on a busy machine
     async with boxed(config(tmp_path)) as (host, _):
-        box = BlackBox(host.hub, tmp_path)
+        box = black_box_of(host.hub, tmp_path)
         channels = [
             Channel(f"/{number}", "ros1", "", "", (("robot", "robot_0"),)) for number in range(2 * MAX_CHANNELS)
         ]

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from hostlink.client import BlockingHost, connect_blocking
-from hostlink.core.hub.robot_events import LET_GO
+from hostlink.core.robot.events import LET_GO
 from hostlink.errors import HostlinkError
 from tests.support.daemon import Daemon, daemon, stops_of
 from tests.support.driving import obeyed

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.core.hub.robot_events import OWNER_LEFT
+from hostlink.core.robot.events import OWNER_LEFT
 from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.daemon import daemon, stops_of
 from tests.support.fake_device import fake_device, robot_topics

@@ -10,6 +10,7 @@ from hostlink.core.config import RobotConfig
 from hostlink.core.hub.robot import frames_of
 from hostlink.core.messages.message_type import MessageType
 from tests.support.daemon import daemon
+from tests.support.hosts import host_in
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
@@ -49,7 +50,7 @@ def has_field(type_: MessageType, path: list[str]) -> bool:
 
 async def test_layout_shows_the_topics_of_a_robot() -> None:
     async with daemon() as host, simulated_robot(host.tcp):
-        directory = FoxgloveDirectory(host.hub)
+        directory = FoxgloveDirectory(host_in(host.hub))
 
         def types() -> dict[str, MessageType]:
             return {channel.topic: channel.type for channel in directory.offers().channels.values()}

@@ -13,9 +13,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.core.config import ApiConfig, Config, TokenConfig
-from hostlink.core.hub.robot_events import OWNER_LEFT
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.robot.events import OWNER_LEFT
 from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, stops_of
 from tests.support.fake_device import fake_device, pose, robot_topics, topic

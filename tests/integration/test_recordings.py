@@ -24,18 +24,18 @@ from hostlink.components.recorder import recordings as recordings_module
 from hostlink.components.recorder.channel import EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, json_of
 from hostlink.components.recorder.folder import Folder
 from hostlink.components.recorder.mcap_format import MAGIC
-from hostlink.components.recorder.owner import NAME as OWNER
 from hostlink.components.recorder.reader import McapReader, StoredMessage
 from hostlink.components.recorder.recorder import GROUP, TopicSelection
-from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.config import ApiConfig, Config, RecordingConfig, TokenConfig
 from hostlink.core.hub.node import is_of
 from hostlink.core.hub.topic import Topic
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime import logs
+from hostlink.core.runtime.folders import NAME as OWNER
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import driven
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics
+from tests.support.hosts import recordings_of
 from tests.support.waiting import expect
 
 POSES = [pose(0.1 * number, 0.2, 0.3) for number in range(20)]
@@ -365,7 +365,7 @@ class HeldFolder(Folder):
 
 async def test_a_start_that_is_cancelled_leaves_neither_a_file_nor_a_thread(tmp_path: Path) -> None:
     async with recorded(config(tmp_path)) as (host, _):
-        recordings = Recordings(host.hub)
+        recordings = recordings_of(host.hub)
         recordings.folder = HeldFolder(tmp_path, max_disk_mb=100.0, min_free_disk_mb=0.0)
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.05):

@@ -21,6 +21,7 @@ from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import FrameTooLarge, HostlinkError
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics, topic
+from tests.support.hosts import host_in
 from tests.support.participants import Scene, play
 from tests.support.process import run
 from tests.support.rosbridge import Client
@@ -83,10 +84,11 @@ class Peer:
         self.queue, self.kind, self.statuses = ClientQueue(), kind, list[dict[str, Any]]()
         self.client: Any
         if kind == "rosbridge":
-            self.client = RosbridgeClient("client 1", made.hub, self.queue, spawn=made.tasks.create_task)
+            self.client = RosbridgeClient("client 1", host_in(made.hub), self.queue, spawn=made.tasks.create_task)
         else:
-            directory = FoxgloveDirectory(made.hub)
-            self.client = FoxgloveClient("client 1", made.hub, directory, self.queue, spawn=made.tasks.create_task)
+            host = host_in(made.hub)
+            directory = FoxgloveDirectory(host)
+            self.client = FoxgloveClient("client 1", host, directory, self.queue, spawn=made.tasks.create_task)
             channels = [
                 {"id": number, "topic": name, "encoding": "ros1", "schemaName": type_name}
                 for number, (name, type_name) in enumerate(NAMES.items())

@@ -1,9 +1,10 @@
 """The REST API: what a script gets, and what it is told when it asks for something else."""
 
-from hostlink.components.gateway.views import robot_view
+from hostlink.core.robot.state_views import robot_view
 from tests.support.daemon import daemon
 from tests.support.device_reports import BATTERY, report
 from tests.support.fake_device import fake_device, robot_topics
+from tests.support.hosts import host_in
 from tests.support.waiting import expect
 
 
@@ -12,7 +13,7 @@ async def test_board_description_is_shown_while_the_device_is_connected() -> Non
     async with daemon() as host:
         async with fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
             await device.send(report(9.5))
-            await expect(lambda: "battery_low" in robot_view(host.hub.robots.find("robot_0"))["device_errors"])
+            await expect(lambda: "battery_low" in robot_view(host_in(host.hub).robot("robot_0"))["device_errors"])
             robot = await host.get("/api/robots/robot_0")
             assert [robot[key] for key in keys[:4]] == [9.5, 25.0, -67, "rover 1.4"]
             assert "battery_low" in robot["device_errors"]

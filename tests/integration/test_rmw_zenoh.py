@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.cli.serve import SWITCH_INTERVAL_S
+from hostlink.cli.garbage import SWITCH_INTERVAL_S
 from hostlink.components.graphs.ros2_types import Ros2Types
 from hostlink.components.zenoh import rmw_bridge
 from hostlink.components.zenoh.rmw_protocol import parse_token

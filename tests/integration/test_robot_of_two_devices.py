@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 import pytest
 
 from hostlink.cli.explain import explanation
-from hostlink.components.gateway.devices import devices_view
 from hostlink.core.config import Config, RobotConfig, WheelsConfig
-from hostlink.core.hub.hub import places_of
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.hub.devices import Devices
+from hostlink.core.hub.reloader import places_of
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import CommandRefused, UnknownTopic
 from tests.support.fake_device import topic
@@ -540,7 +540,7 @@ def test_robot_whose_wheels_are_on_two_boards_says_so_of_both() -> None:
             "its command topics must be on one device, and they are on several: "
             f"left_motor on {MOTORS}, right_motor on {WHEELS}"
         )
-        views = devices_view(made.hub)["devices"]
+        views = Devices(made.hub).all()["devices"]
         assert [(each["part_of"], each["refused"]) for each in views] == [("r", why)] * 2
         assert all("takes its velocities on another device" not in line for line in explanation(views))
         noted = [each.diagnosis.noted["settings_refused"] for each in made.hub.robots.devices.values()]

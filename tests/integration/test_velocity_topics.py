@@ -9,7 +9,7 @@ from typing import NamedTuple
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.cli import serve
+from hostlink.cli import garbage
 from hostlink.core.config import Config, RobotConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
@@ -66,7 +66,7 @@ class Collector(NamedTuple):
     note: Callable[[], None]  # called for each collection
 
     def get_count(self) -> tuple[int, int, int]:
-        return 0, 0, serve.ENOUGH
+        return 0, 0, garbage.ENOUGH
 
     def collect(self) -> int:
         self.note()
@@ -144,8 +144,8 @@ class TestBoth:
         async def test(made: Twisted) -> None:
             collections = list[float]()
             now_s = asyncio.get_running_loop().time
-            monkeypatch.setattr(serve, "gc", Collector(lambda: collections.append(now_s())))
-            collecting = asyncio.get_running_loop().create_task(serve.collect_while_idle(made.hub.robots))
+            monkeypatch.setattr(garbage, "gc", Collector(lambda: collections.append(now_s())))
+            collecting = asyncio.get_running_loop().create_task(garbage.collect_while_idle(made.hub.robots))
             for _ in range(10):
                 await made.drive()
                 await asyncio.sleep(LEASE_S - 0.1)

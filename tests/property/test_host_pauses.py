@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from hostlink.core.config import Config
 from hostlink.core.diagnosis.evidence import HostClock
 from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.core.robot.events import EventKind, RobotEvent
 from tests.support.fake_device import pose, robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.strategies import fewer_examples

@@ -13,11 +13,10 @@ from aiohttp import web
 
 from hostlink.components.gateway.listener import MakeProtocol, PacedReading
 from hostlink.components.gateway.server import ApiServer, protocols_of
-from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.config import BlackBoxConfig, Config, RecordingConfig
 from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.reloader import Reloader
 from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.hosts import host_of, recordings_of
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
@@ -100,7 +99,9 @@ class ApiPeer:
         connection, _ = api.server.listener.connections.enter(peer, asyncio.get_running_loop().time())
         assert connection is not None
         self.transport = ApiTransport(peer)
-        self.reading = PacedReading(api.make_protocol(), api.hub, api.server.listener.connections, connection)
+        self.reading = PacedReading(
+            api.make_protocol(), api.host, api.hub.config.api, api.server.listener.connections, connection
+        )
         self.transport.protocol = self.reading
         self.transport.on_resumed = self._expect_read
         self.unread = bytearray()  # arrived, and not read yet
@@ -176,7 +177,8 @@ class ApiMemory:
             config, recording=RecordingConfig(folder=folder, drives=False), black_box=BlackBoxConfig(enabled=False)
         )
         self.hub = Hub(config, CATALOG, reraises=True)
-        self.server = ApiServer(self.hub, Recordings(self.hub), Reloader(self.hub))
+        self.host = host_of(self.hub)
+        self.server = ApiServer(self.host, config, recordings_of(self.hub))
         self.make_protocol: MakeProtocol
         self.device: ScriptedDevice
 

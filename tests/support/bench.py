@@ -16,6 +16,7 @@ from hostlink.core.protocol.endpoint import DeviceEndpoint
 from hostlink.errors import HostlinkError
 from hostlink.workbench.sim.firmware_world import RobotKind
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_in
 from tests.support.memory_client import MemoryHost, memory_host
 from tests.support.ros_lib_device import running_hub
 from tests.support.scripted_device import ScriptedDevice
@@ -58,7 +59,7 @@ async def refused(work: Awaitable[object]) -> str:
 @contextlib.asynccontextmanager
 async def bench(config: Config | None = None) -> AsyncIterator[Bench]:
     hub = Hub(Config() if config is None else config, CATALOG, reraises=True)
-    RosApi(hub).offer()
+    RosApi(host_in(hub)).offer()
     with capture_logs():
         async with (
             running_hub(hub),

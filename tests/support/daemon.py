@@ -18,8 +18,8 @@ import msgspec
 from hostlink.cli.serve import running
 from hostlink.core.config import BlackBoxConfig, Config, LinkConfig
 from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.hub.stall_watch import StallWatch
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.runtime.host_pauses import HostPauses
 from tests.support.driving import put_velocity
 

@@ -150,7 +150,7 @@ class _Rosbridge(EntryPoint):
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
         self.queue = ClientQueue()
-        self.client = RosbridgeClient("client 1", made.hub, self.queue, spawn=made.tasks.create_task)
+        self.client = RosbridgeClient("client 1", host_in(made.hub), self.queue, spawn=made.tasks.create_task)
 
     def send(self, **request: Any) -> None:
         self.client.receive(json.dumps(request), _now_s() - self.late_s)
@@ -244,9 +244,10 @@ class RestPut(EntryPoint):
 
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
-        self._owners = Owners(made.hub)
+        host = host_in(made.hub)
+        self._owners = Owners(host)
         unused = cast(Any, None)  # no request of a velocity asks for clients, drives or settings
-        rest = Rest(made.hub, unused, self._owners, unused, unused)
+        rest = Rest(host, unused, unused, self._owners, unused)
         (self._route,) = (each for each in rest.routes() if each.path.endswith("/velocity"))
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
@@ -268,8 +269,9 @@ class FoxglovePublish(EntryPoint):
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
         self._queue = ClientQueue()
-        directory = FoxgloveDirectory(made.hub)
-        self._client = FoxgloveClient("client 1", made.hub, directory, self._queue, spawn=made.tasks.create_task)
+        host = host_in(made.hub)
+        directory = FoxgloveDirectory(host)
+        self._client = FoxgloveClient("client 1", host, directory, self._queue, spawn=made.tasks.create_task)
         channel = {"id": 1, "topic": CMD_VEL, "encoding": "ros1", "schemaName": TWIST_TYPE}
         self._client.receive(json.dumps({"op": "advertise", "channels": [channel]}))
 

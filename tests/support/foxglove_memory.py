@@ -15,6 +15,7 @@ from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
 from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_in
 
 TIME = 2  # opcode
 Received = tuple[int, int, int, bytes]  # opcode, subscription, time, payload
@@ -28,7 +29,7 @@ class Peer:
     ) -> None:
         self.queue = ClientQueue()
         self.times: list[int] = []  # in ns, oldest first
-        self.client = FoxgloveClient(name, hub, directory, self.queue, spawn=tasks.create_task, role=role)
+        self.client = FoxgloveClient(name, host_in(hub), directory, self.queue, spawn=tasks.create_task, role=role)
 
     def send(self, **request: Any) -> None:
         self.client.receive(json.dumps(request))
@@ -73,7 +74,7 @@ class World:
 
     def __init__(self, tasks: asyncio.TaskGroup, config: Config) -> None:
         self.hub = Hub(config, CATALOG, reraises=True)
-        self.directory = FoxgloveDirectory(self.hub)
+        self.directory = FoxgloveDirectory(host_in(self.hub))
         self._tasks, self._numbers = tasks, itertools.count(1)
 
     def client(self, role: Role = Role.DRIVE) -> Peer:

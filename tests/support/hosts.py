@@ -1,7 +1,10 @@
-"""The interface of a component, in a hub of a test."""
+"""The interface of a component, and the parts that use it, in a hub of a test."""
 
 from collections import Counter
+from pathlib import Path
 
+from hostlink.components.recorder.black_box import BlackBox
+from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.host import Host
 from hostlink.core.hub.hub import Hub
 
@@ -11,6 +14,17 @@ def host_in(hub: Hub, name: str = "test") -> Host:
     return Host(hub, name, lambda work, _: work.close(), Counter())
 
 
-def working_host(hub: Hub, name: str = "test") -> Host:
-    """Make one whose tasks the hub runs. A failure ends only its task."""
+def host_of(hub: Hub, name: str = "test") -> Host:
+    """Make one whose tasks the hub runs."""
     return Host(hub, name, lambda work, part: hub.spawn(work, name=part), Counter())
+
+
+def recordings_of(hub: Hub) -> Recordings:
+    """Make the recordings of a daemon with the hub's settings."""
+    return Recordings(host_of(hub, "recordings"), hub.config.recording, hub.config.black_box)
+
+
+def black_box_of(hub: Hub, folder: Path) -> BlackBox:
+    """Make the black box of a daemon with the hub's settings."""
+    free_mb = hub.config.recording.min_free_disk_mb
+    return BlackBox(host_of(hub, "recordings"), hub.config.black_box, folder, min_free_disk_mb=free_mb)

@@ -20,12 +20,13 @@ from hostlink.client.services import ProvidedServices
 from hostlink.client.topics import Topics
 from hostlink.components.gateway.clients import ClientQueue
 from hostlink.components.gateway.rosbridge import RosbridgeClient
-from hostlink.components.gateway.views import odometry_view
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
 from hostlink.core.hub.participant import Participant
 from hostlink.core.robot.standstill import Standstill
+from hostlink.core.robot.state_views import odometry_view
 from hostlink.errors import HostlinkError, Refused
+from tests.support.hosts import host_in
 from tests.support.rest_memory import RestCalls
 
 _numbers = itertools.count(1)
@@ -46,7 +47,7 @@ class MemoryConnection:
         self._kept: dict[str, Mapping[str, Any]] = {}
         self._queue = ClientQueue()
         self._queue.on_news = self._receive
-        self._client = RosbridgeClient(f"program {next(_numbers)}", hub, self._queue, spawn=tasks.create_task)
+        self._client = RosbridgeClient(f"program {next(_numbers)}", host_in(hub), self._queue, spawn=tasks.create_task)
         self._answers: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._numbers = itertools.count(1)
         self._pass('{"op": "set_level", "level": "error"}')

@@ -18,8 +18,8 @@ from aiohttp import WSMsgType, web
 from hostlink.components.gateway.events import ROLE_HEADER
 from hostlink.components.gateway.history import IncidentView
 from hostlink.components.gateway.rest import DaemonDiagnosisView, DriveView, ListeningView
-from hostlink.components.gateway.views import LinkView, RobotView, StoppedRobotView
-from hostlink.core.robot.views import CommandEndpointView
+from hostlink.core.robot.device_views import LinkView
+from hostlink.core.robot.views import CommandEndpointView, RobotView, StoppedRobotView
 from tests.support.tcp_server import http_server
 
 BUILT = Path(__file__).parents[2] / "hostlink" / "components" / "gateway" / "web" / "built"

@@ -29,6 +29,7 @@ from hostlink.core.protocol.endpoint import DeviceEndpoint
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError, NoRole, RefusalKind, Refused
 from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.hosts import host_in
 from tests.support.memory_hub import running
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
@@ -143,7 +144,7 @@ class RosbridgeProgram:
         self.queue: ClientQueue = ClientQueue()
         self.queue._size_of = self._size_of
         self._numbers = itertools.count()
-        self._client = RosbridgeClient(name, hub, self.queue, spawn=tasks.create_task, role=role)
+        self._client = RosbridgeClient(name, host_in(hub), self.queue, spawn=tasks.create_task, role=role)
         self._served: Answer | None = None
         self._answers: dict[str, asyncio.Future[Mapping[str, Any]]] = {}
         self._tasks = tasks
@@ -234,8 +235,9 @@ class FoxgloveProgram:
         self.queue: ClientQueue = ClientQueue()
         self.queue._size_of = self._size_of
         self._numbers = itertools.count(1)
-        directory = FoxgloveDirectory(scene.hub)
-        self._client = FoxgloveClient(name, scene.hub, directory, self.queue, spawn=scene.tasks.create_task, role=role)
+        host = host_in(scene.hub)
+        directory = FoxgloveDirectory(host)
+        self._client = FoxgloveClient(name, host, directory, self.queue, spawn=scene.tasks.create_task, role=role)
         self._channels: dict[str, int] = {}
         self._services: dict[str, int] = {}
         self._types: dict[str, ServiceType] = {}
@@ -352,7 +354,7 @@ def plain(scene: "Scene", role: Role) -> Program:
 
 
 def rest(scene: "Scene", role: Role) -> Program:
-    return Program(Owners(scene.hub).of("127.0.0.1", role))
+    return Program(Owners(host_in(scene.hub)).of("127.0.0.1", role))
 
 
 def rosbridge(scene: "Scene", role: Role) -> RosbridgeProgram:

@@ -16,9 +16,10 @@ from hostlink.components.gateway.routes import BODY, CAME, Route, explain_errors
 from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
-from hostlink.core.hub.reloader import Read, Reloader
+from hostlink.core.hub.reloader import Read
 from hostlink.core.protocol.endpoint import DeviceEndpoint
 from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.hosts import host_of
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
@@ -27,10 +28,11 @@ from tests.support.scripted_device import ScriptedDevice
 class RestCalls:
     """Requests of the REST API of a hub."""
 
-    def __init__(self, hub: Hub, drives: Any = None, read: Read | None = None) -> None:
-        self.hub, self.owners = hub, Owners(hub)
+    def __init__(self, hub: Hub, drives: Any = None) -> None:
+        self.hub, host = hub, host_of(hub)
+        self.host, self.owners = host, Owners(host)
         self._app = web.Application()
-        self.add(Rest(hub, Clients(4, max_per_address=4), self.owners, drives, Reloader(hub, read)).routes())
+        self.add(Rest(host, hub.config, Clients(4, max_per_address=4), self.owners, drives).routes())
 
     def add(self, routes: Sequence[Route]) -> None:
         """Offer more paths."""
@@ -62,7 +64,7 @@ class RestMemory(RestCalls):
     """A daemon's REST API, and the device of its robot."""
 
     def __init__(self, topics: Sequence[DeviceEndpoint], drives: Any, read: Read | None) -> None:
-        super().__init__(Hub(Config(), CATALOG, reraises=True), drives, read)
+        super().__init__(Hub(Config(), CATALOG, reraises=True, read=read), drives)
         self._topics = topics
         self.device: ScriptedDevice
 

@@ -16,6 +16,7 @@ from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_in
 
 
 class Peer:
@@ -23,7 +24,7 @@ class Peer:
 
     def __init__(self, name: str, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.queue = ClientQueue()
-        self.client = RosbridgeClient(name, hub, self.queue, spawn=tasks.create_task)
+        self.client = RosbridgeClient(name, host_in(hub), self.queue, spawn=tasks.create_task)
         self.send(op="set_level", level="info")
 
     def send(self, **request: Any) -> None:
@@ -49,7 +50,7 @@ class World:
 
     def __init__(self, tasks: asyncio.TaskGroup) -> None:
         self.hub = Hub(Config(), CATALOG, reraises=True)
-        RosApi(self.hub).offer()
+        RosApi(host_in(self.hub)).offer()
         self._tasks, self._numbers = tasks, itertools.count(1)
 
     def client(self) -> Peer:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.serve import Notifier
 from hostlink.cli.serve_command import read_example
+from hostlink.cli.systemd import Notifier
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import free_port, run, serve
 from tests.support.stopwatch import Stopwatch

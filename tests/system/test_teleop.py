@@ -14,7 +14,7 @@ import pytest
 
 from hostlink.cli.driving import GRACE_S, HOLD_S
 from hostlink.client import connect
-from hostlink.core.hub.robot_events import LET_GO
+from hostlink.core.robot.events import LET_GO
 from tests.support.fake_device import fake_device, pose, repeating, robot_topics
 from tests.support.process import HOSTLINK, Process, serve, simulated
 from tests.support.screen import PATIENCE_S, Screen, screen

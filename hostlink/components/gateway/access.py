@@ -20,7 +20,7 @@ from aiohttp import web
 
 from hostlink.components.gateway.listener import KEPT_FOR_REQUESTS
 from hostlink.core.config import ApiConfig, TokenConfig, is_address
-from hostlink.core.hub.node import Role
+from hostlink.core.host import Role
 from hostlink.core.runtime.logs import printable
 from hostlink.core.runtime.text_file import read_text
 from hostlink.errors import ConfigError

@@ -11,8 +11,7 @@ from aiohttp import web
 
 from hostlink.components.gateway.bodies import whole_number
 from hostlink.components.gateway.routes import Route, reply
-from hostlink.core.hub.diagnoses import Diagnosis
-from hostlink.core.hub.hub import Hub
+from hostlink.core.host import Capture, Devices
 from hostlink.errors import UnknownTopic
 
 MAX_DIGITS = 18  # larger counts do not occur
@@ -42,8 +41,8 @@ class CaptureView(TypedDict):
 class Captures:
     """The routes of captures."""
 
-    def __init__(self, hub: Hub) -> None:
-        self._hub = hub
+    def __init__(self, devices: Devices) -> None:
+        self._devices = devices
 
     def routes(self) -> list[Route]:
         """Return the routes."""
@@ -55,43 +54,38 @@ class Captures:
 
     async def _whole(self, request: web.Request) -> web.Response:
         """The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`."""
-        lines = msgspec.json.Encoder().encode_lines(capture_view(self._find(request))["reads"])
+        lines = msgspec.json.Encoder().encode_lines(capture_view(self._find(request, _START))["reads"])
         return web.Response(body=lines, content_type="application/x-ndjson", headers={"Cache-Control": "no-store"})
 
     async def _after(self, request: web.Request) -> web.Response:
         """Bytes on a link after a position; the first position is 0-0."""
         since = _parse_position(request.match_info["position"])
-        return reply(capture_view(self._find(request), since))
+        return reply(capture_view(self._find(request, since), since))
 
-    def _find(self, request: web.Request) -> Diagnosis:
-        diagnoses, text = self._hub.diagnoses, request.match_info["number"]
-        number = whole_number(text, MAX_DIGITS)
-        diagnosis = None if number is None else diagnoses.find(number)
-        if diagnosis is None:
-            raise UnknownTopic("link", text, tuple(str(each) for each in diagnoses.numbers()))
-        return diagnosis
+    def _find(self, request: web.Request, since: tuple[int, int]) -> Capture:
+        text = request.match_info["number"]
+        return self._devices.capture(whole_number(text, MAX_DIGITS), since, shown=text)
 
 
-def capture_view(diagnosis: Diagnosis, since: tuple[int, int] = _START) -> CaptureView:
+def capture_view(found: Capture, since: tuple[int, int] = _START) -> CaptureView:
     """Return the bytes on a link in order of time. `since`: bytes of each direction that the client already has."""
-    number, found = diagnosis.link.number, diagnosis.captured(since)
+    number = found.number
     reads: list[ReadView] = []
     if since == _START:
         opened = _read_view(0.0, "device", b"", number) | {"event": "open"}
-        protocol = diagnosis.link.session.protocol
+        protocol = found.protocol
         reads.append(opened if protocol == "rosserial" else opened | {"protocol": protocol})
         if found.lost[0]:
-            time_s, announced = found.pieces[0].time_s, diagnosis.announced_before(found.lost[0])
-            reads.append(_read_view(time_s, "device", announced, number) | {"event": "topics"})
+            reads.append(_read_view(found.pieces[0].time_s, "device", found.announced, number) | {"event": "topics"})
     for time_s, is_from_device, data in found.pieces:
         reads.append(_read_view(time_s, "device" if is_from_device else "host", data, number))
-    if diagnosis.end is not None:
-        reads.append(_read_view(diagnosis.seconds, "device", b"", number) | {"event": "close"})
+    if found.seconds is not None:
+        reads.append(_read_view(found.seconds, "device", b"", number) | {"event": "close"})
     return {
         "reads": reads,
         "position": "{}-{}".format(*found.position),
-        "lost_bytes": found.lost_bytes,
-        "is_open": diagnosis.end is None,
+        "lost_bytes": sum(found.lost),
+        "is_open": found.seconds is None,
     }
 
 

@@ -14,9 +14,7 @@ from aiohttp import web
 from hostlink.components.gateway.access import GRANT
 from hostlink.components.gateway.program_names import browser_of, client_name
 from hostlink.components.gateway.routes import readable
-from hostlink.core.hub.byte_budget import ByteBudget, Share
-from hostlink.core.hub.queue import Queue
-from hostlink.core.hub.topic import Topic
+from hostlink.core.host import Queue, Share, VelocityTopic
 from hostlink.core.robot.admission import UNORDERED_S, Resumption
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
 from hostlink.core.runtime.logs import printable
@@ -189,13 +187,15 @@ _TWISTS = frozenset({TWIST_TYPE, TWIST_STAMPED_TYPE})
 NOT_A_VELOCITY = (None, False)  # also for an invalid velocity, which is refused and replaces nothing
 
 
-def velocity_of_payload(topic: Topic | None, payload: bytes, terms: Hashable = None) -> tuple[VelocityOf | None, bool]:
+def velocity_of_payload(
+    topic: VelocityTopic | None, payload: bytes, terms: Hashable = None
+) -> tuple[VelocityOf | None, bool]:
     """Return what a serialised message is a velocity of (None: it is not a valid one) and whether it is zero.
 
     The components for which a robot may refuse a velocity are among its terms, because a velocity replaces only one
     with equal terms: one that will be refused must not replace one that the robot obeys.
     """
-    if topic is None or not topic.is_gated or topic.type is None or topic.type_name not in _TWISTS:
+    if topic is None or topic.type is None or topic.type_name not in _TWISTS:
         return NOT_A_VELOCITY
     try:
         if topic.type_name == TWIST_TYPE:
@@ -220,8 +220,8 @@ class Outgoing(NamedTuple):
 class ClientQueue(Queue[Outgoing]):
     """Send queue of one client."""
 
-    def __init__(self, budget: ByteBudget | None = None) -> None:
-        share = None if budget is None else budget["queues"]
+    def __init__(self, share: Share | None = None) -> None:
+        """`share`: of the messages and answers that wait for all clients."""
         super().__init__(_size_bytes, asyncio.get_running_loop().time, share)
         self.is_flush_due = True  # whether throttled subscriptions have messages
 
@@ -334,6 +334,7 @@ class Clients:
     def __init__(self, max_clients: int, *, max_per_address: int) -> None:
         self.refused = 0
         self.gone_dropped = 0  # messages dropped for clients that have disconnected
+        self.velocities_replaced = Counter[str]()  # by newer ones before they were executed, by kind of client
         self._max_clients, self._max_per_address = max_clients, max_per_address
         self._numbers = itertools.count(1)
         self._clients: list[Client] = []  # in order of arrival

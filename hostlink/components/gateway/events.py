@@ -29,11 +29,10 @@ from hostlink.components.gateway.clients import Backlog, Client, Clients
 from hostlink.components.gateway.recordings import recording_view
 from hostlink.components.gateway.rosbridge import encode_json
 from hostlink.components.gateway.routes import Route
-from hostlink.components.gateway.views import Slices, links_view, odometry_view, robot_view
+from hostlink.components.gateway.views import Slices, links_view
 from hostlink.components.recorder.recordings import Recordings
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.message import Message
-from hostlink.core.hub.node import Role
+from hostlink.core.host import Host, Message, Role
+from hostlink.core.robot.state_views import odometry_view, robot_view
 from hostlink.core.robot.views import RobotView
 from hostlink.errors import BadPayload
 
@@ -149,7 +148,7 @@ class StateFeed:
     processor. It is encoded in slices, between which commands and devices have their turns.
     """
 
-    def __init__(self, hub: Hub, clients: Clients, recordings: Recordings) -> None:
+    def __init__(self, host: Host, clients: Clients, recordings: Recordings) -> None:
         self.is_running = False  # when it ends, the streams of its readers end
         self.version = 0
         self.line_count = 0  # since the start
@@ -159,8 +158,8 @@ class StateFeed:
             _State(name="clients", interval_s=REFRESH_S, encode=self._encode_clients),
             _State(name="recordings", interval_s=REFRESH_S, encode=self._encode_recordings, is_repeated=False),
         )
-        self._hub, self._clients, self._recordings = hub, clients, recordings
-        self._slices = Slices(hub)
+        self._host, self._clients, self._recordings = host, clients, recordings
+        self._slices = Slices(host.turns())
         self._name = secrets.token_hex(4)  # the ids of another daemon's lines are others
         self._readers: set[Reader] = set()
         self._left_s = 0.0  # end of the last reader
@@ -174,7 +173,7 @@ class StateFeed:
         self._readers.add(reader)
         if not self.is_running:
             self.is_running = True
-            self._hub.spawn(self._run(), name="events")
+            self._host.spawn(self._run(), name="events")
         try:
             yield
         finally:
@@ -200,7 +199,7 @@ class StateFeed:
 
     async def _run(self) -> None:
         """Renew the states while there are readers, and keep lines until LINGER_S after the last one."""
-        participant = self._hub.join("events", role=Role.READ)
+        participant = self._host.join("events", role=Role.READ)
         participant.subscribe("/rosout", self._add_line)
         announced = (self.version, self.line_count)
         try:
@@ -247,7 +246,7 @@ class StateFeed:
         is_refresh = now_s >= self._refresh_at_s
         before, self._pieces = self._pieces, {}
         known = {} if is_refresh else before
-        views = map(robot_view, self._hub.robots.all())
+        views = map(robot_view, self._host.states())
         await self._slices.run(views, lambda view: self._encode_robot(view, known))
         if is_refresh:
             self._refresh_at_s = now_s + REFRESH_S
@@ -262,7 +261,7 @@ class StateFeed:
         self._pieces[view["name"]] = piece
 
     async def _encode_links(self) -> bytes:
-        return msgspec.json.encode(await links_view(self._hub, self._slices))
+        return msgspec.json.encode(await links_view(self._host.devices, self._slices))
 
     async def _encode_clients(self) -> bytes:
         return msgspec.json.encode({"clients": self._clients.views(), "refused": self._clients.refused})
@@ -302,10 +301,10 @@ Send = Callable[[bytes], Awaitable[None]]
 class Events:
     """The event streams."""
 
-    def __init__(self, hub: Hub, clients: Clients, recordings: Recordings) -> None:
-        self._hub = hub
+    def __init__(self, host: Host, clients: Clients, recordings: Recordings) -> None:
+        self._host = host
         self._clients = clients
-        self._feed = StateFeed(hub, clients, recordings)
+        self._feed = StateFeed(host, clients, recordings)
 
     def routes(self) -> list[Route]:
         """Return the routes of both streams."""
@@ -332,16 +331,15 @@ class Events:
 
     async def _odometry(self, request: web.Request) -> web.StreamResponse:
         """An event `odometry` for each new pose: the JSON of its GET."""
-        robot = self._hub.robots.find(request.match_info["name"])
+        robot = self._host.find(request.match_info["name"])
         news = asyncio.Event()
         async with self._stream(request) as (response, send, client):
-            participant = self._hub.join(client.name, role=Role.READ, on_end=news.set)
+            participant = self._host.join(client.name, role=Role.READ, on_end=news.set)
             try:
-                participant.follow(robot, news.set)
+                robot.follow(participant, news.set)
                 news.set()  # send the known pose first
-                while self._hub.robots.is_known(robot) and not participant.has_left:  # ends when the robot is forgotten
-                    is_news, now_s = await _wait(news, response), asyncio.get_running_loop().time()
-                    odometry = robot.odometry.snapshot(now_s) if is_news else None
+                while robot.is_known and not participant.has_left:  # ends when the robot is forgotten
+                    odometry = robot.odometry() if await _wait(news, response) else None
                     if odometry is not None:
                         await send(encode_event("odometry", msgspec.json.encode(odometry_view(odometry))))
             finally:

@@ -4,12 +4,10 @@ https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 """
 
 import contextlib
-import functools
 import itertools
 import math
 import os
 import time
-from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar, assert_never
@@ -54,15 +52,19 @@ from hostlink.components.gateway.foxglove_protocol import (
     encode_time,
 )
 from hostlink.components.gateway.rosapi import Parameters
-from hostlink.components.gateway.views import node_name, receivers
 from hostlink.core.config import ParameterValue
-from hostlink.core.hub.byte_budget import Share
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.message import Message
-from hostlink.core.hub.node import Role
-from hostlink.core.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
-from hostlink.core.hub.subscription import Subscription
-from hostlink.core.hub.topic_graph import TopicGraph, resolve
+from hostlink.core.host import (
+    MAX_ADVERTISED,
+    MAX_CALLS,
+    Host,
+    Message,
+    NodeGraph,
+    Participant,
+    Role,
+    Share,
+    Subscription,
+    resolve,
+)
 from hostlink.core.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.core.messages.message_type import MessageType, ServiceType
 from hostlink.core.runtime.log_budget import Budget
@@ -112,10 +114,10 @@ class ConnectionGraph:
 class FoxgloveDirectory:
     """Channels, services and nodes of the graph, for all clients."""
 
-    def __init__(self, hub: Hub) -> None:
+    def __init__(self, host: Host) -> None:
         self.session_id = os.urandom(8).hex()  # tells a client that reconnects whether the daemon was restarted
-        self._hub = hub
-        self._participant = hub.join_daemon()
+        self._graph = host.graph
+        self._participant = host.join_as_observer()
         self._numbers = itertools.count(1)
         self._channels: dict[Hashable, FoxgloveChannel] = {}
         self._services: dict[Hashable, FoxgloveService] = {}
@@ -144,7 +146,7 @@ class FoxgloveDirectory:
         channels: dict[Hashable, tuple[str, MessageType]] = {
             (topic.name, topic.type.md5): (topic.name, topic.type) for topic in topics if topic.type is not None
         }
-        typed = ((each.name, self._hub.services.type_of(each.name)) for each in graph.services)
+        typed = ((each.name, self._graph.service_type(each.name)) for each in graph.services)
         services: dict[Hashable, tuple[str, ServiceType]] = {
             (name, type_.name, type_.md5): (name, type_) for name, type_ in typed if type_ is not None
         }
@@ -161,15 +163,7 @@ class FoxgloveDirectory:
         )
 
     def _make_nodes(self) -> ConnectionGraph:
-        topics, services, node = self._hub.topics.all(), self._hub.services, functools.partial(node_name, self._hub)
-        providers: defaultdict[str, set[str]] = defaultdict(set)
-        for name, _ in services.all():
-            providers[name].add(node(services.find(name).key))
-        return ConnectionGraph(
-            _sorted({topic.name: set(map(node, topic.publishers)) for topic in topics}),
-            _sorted({topic.name: set(map(node, receivers(topic))) for topic in topics}),
-            _sorted(providers),
-        )
+        return ConnectionGraph(*map(_sorted, self._graph.by_node()))
 
 
 def _channel(number: int, topic: str, type_: MessageType) -> FoxgloveChannel:
@@ -237,8 +231,8 @@ _QUEUED_AS = ""  # not a topic's name
 class FoxgloveTime:
     """Time of the server, sent with messages as the protocol requires. /clock replaces it while it is published."""
 
-    def __init__(self, participant: Participant, topics: TopicGraph, queue: ClientQueue) -> None:
-        self._participant, self._topics, self._queue = participant, topics, queue
+    def __init__(self, participant: Participant, graph: NodeGraph, queue: ClientQueue) -> None:
+        self._participant, self._graph, self._queue = participant, graph, queue
         self._clock: Subscription | None = None
         self._simulated_ns: int | None = None  # None: no message on /clock yet
         self._sent_ns = 0
@@ -247,8 +241,8 @@ class FoxgloveTime:
 
     def follow_graph(self) -> None:
         """Subscribe to /clock while it is published."""
-        topic = self._topics.find_or_none(CLOCK)
-        is_published = topic is not None and bool(topic.publishers) and topic.type_name == CLOCK_TYPE
+        topic = self._graph.topic(CLOCK)
+        is_published = topic is not None and topic.is_published and topic.type_name == CLOCK_TYPE
         if is_published and self._clock is None:
             with contextlib.suppress(BadRequest):  # at the limit of subscriptions, the daemon's time is used
                 self._clock = self._participant.subscribe(CLOCK, self._receive, type_name=CLOCK_TYPE)
@@ -516,22 +510,22 @@ class FoxgloveClient:
     def __init__(
         self,
         name: str,
-        hub: Hub,
+        host: Host,
         directory: FoxgloveDirectory,
         queue: ClientQueue,
         *,
         spawn: Spawn,
         role: Role = Role.DRIVE,
     ) -> None:
-        """Join the hub. `spawn` runs a service call."""
-        self.participant = hub.join(name, role=role, on_end=queue.close)
-        self._hub, self._directory, self._queue = hub, directory, queue
+        """Join the graph. `spawn` runs a service call."""
+        self.participant = host.join(name, role=role, on_end=queue.close)
+        self._node_graph, self._directory, self._queue = host.graph, directory, queue
         self._queue.on_dropped, self._dropped = self._tell_dropped, Budget()
-        self._time = FoxgloveTime(self.participant, hub.topics, queue)
+        self._time = FoxgloveTime(self.participant, host.graph, queue)
         self._subscriptions = FoxgloveSubscriptions(self.participant, queue, self._time)
         self._advertised: dict[int, _Advertised] = {}  # by the client's ids, of which several may have one topic
-        self._services = FoxgloveServices(self.participant, queue, spawn, hub.budget["calls"])
-        self._parameters = FoxgloveParameters(Parameters(hub.parameters), queue, hub.budget["watches"])
+        self._services = FoxgloveServices(self.participant, queue, spawn, host.share("calls"))
+        self._parameters = FoxgloveParameters(Parameters(host.parameters), queue, host.share("watches"))
         self._offers = _NOTHING
         self._graph: ConnectionGraph | None = None  # sent last; None: not watched
         self._is_stale = False
@@ -557,7 +551,7 @@ class FoxgloveClient:
             return Operation(without_frames(error), came_s)
         if not isinstance(content, Published) or (channel := self._advertised.get(content.channel_id)) is None:
             return Operation(content, came_s)
-        velocity_of, is_zero = velocity_of_payload(self._hub.topics.find_or_none(channel.topic), content.payload)
+        velocity_of, is_zero = velocity_of_payload(self._node_graph.velocity_topic(channel.topic), content.payload)
         return Operation(content, came_s, velocity_of, is_zero)
 
     def do(self, operation: Operation[_Received]) -> None:
@@ -682,8 +676,7 @@ class FoxgloveClient:
             _check(self.participant.message_type(topic, type_name), published.payload)
             self.participant.publish(topic, published.payload, at_s=came_s)
         except HostlinkError as error:
-            known = self._hub.topics.find_or_none(topic)
-            is_velocity = known is not None and known.is_gated
+            is_velocity = self._node_graph.velocity_topic(topic) is not None
             is_new = self._refused.get(number) != str(error)
             if is_new and (not is_velocity or self._refused_velocities.allows((topic, error.kind), loop_time_s())):
                 self._refused[number] = str(error)

@@ -18,7 +18,7 @@ from aiohttp import web
 from hostlink.components.gateway.bodies import decode_body
 from hostlink.components.gateway.recordings import find_file, send_file
 from hostlink.components.gateway.routes import BODY, FILE, Route, reply, reply_encoded
-from hostlink.components.gateway.views import utc_text, velocity_view
+from hostlink.components.gateway.views import utc_text
 from hostlink.components.recorder.black_box import MAX_DETAIL, BlackBox
 from hostlink.components.recorder.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
 from hostlink.components.recorder.folder import Folder, StoredFile
@@ -26,14 +26,12 @@ from hostlink.components.recorder.history import PastPose, Rest, RobotHistory
 from hostlink.components.recorder.incident import Incident, IncidentFiles, SavedIncident, read_incident
 from hostlink.components.recorder.reader import McapReader
 from hostlink.components.recorder.ring import Entry
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.node import Role
-from hostlink.core.hub.robot import LocalRobot
-from hostlink.core.hub.robot_topic_publisher import twist_topic
+from hostlink.core.host import Host, RecordedMotion, Role
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.robot.kinematics import Pose
 from hostlink.core.robot.odometry import OdometryEstimator
 from hostlink.core.robot.readings import READERS
+from hostlink.core.robot.state_views import velocity_view
 from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from hostlink.core.robot.views import PoseView, VelocityView
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -167,8 +165,8 @@ class Pauses:
 class HistoryRoutes:
     """The routes of histories and of incidents. One history is made at a time."""
 
-    def __init__(self, hub: Hub, black_box: BlackBox, recordings: Folder) -> None:
-        self._hub, self._black_box, self._recordings = hub, black_box, recordings
+    def __init__(self, host: Host, black_box: BlackBox, recordings: Folder) -> None:
+        self._host, self._black_box, self._recordings = host, black_box, recordings
         self._incidents = IncidentFiles(black_box.folder)
         self._turn = asyncio.Semaphore(1)
 
@@ -208,7 +206,7 @@ class HistoryRoutes:
         robot = request.query.get("robot", "")
         try:
             async with self._turn:
-                body = await asyncio.to_thread(recording_history, self._hub.catalog, path, robot)
+                body = await asyncio.to_thread(recording_history, self._host.messages, path, robot)
         except RecordingFailed as error:
             raise BadRequest(str(error).removeprefix(f"{path.parent}/")) from error
         return reply_encoded(body)
@@ -234,7 +232,7 @@ class HistoryRoutes:
         """Path, commands, plots and events of the robot around an incident."""
         path = await find_file(self._black_box.folder, request, "incident")
         async with self._turn:
-            body = await asyncio.to_thread(stored_history, self._hub.catalog, path)
+            body = await asyncio.to_thread(stored_history, self._host.messages, path)
         if body is None:  # the file has no description, or was removed meanwhile
             raise UnknownTopic("incident", path.name)
         return reply_encoded(body)
@@ -242,11 +240,10 @@ class HistoryRoutes:
     async def _of_robot(self, request: web.Request) -> web.Response:
         """Path, commands, plots and events of a robot in its last minutes."""
         async with self._turn:
-            found = self._hub.robots.find(request.match_info["name"])
-            robot = self._hub.robots.get_here(found.name)
-            if robot is None or robot is not found:  # another daemon has its history
+            motion = self._host.find(request.match_info["name"]).recorded_motion()
+            if motion is None:  # another daemon has its history
                 return reply({"poses": [], "commands": [], "plot_data": [], "events": []})
-            body = await asyncio.to_thread(self._body, robot, *self._collect(robot))
+            body = await asyncio.to_thread(self._body, motion, *self._collect(motion))
         return reply_encoded(body)
 
     async def _of_fleet(self, request: web.Request) -> web.StreamResponse:
@@ -259,10 +256,13 @@ class HistoryRoutes:
         try:
             await response.prepare(request)
             before = b'{"robots":['
-            for robot in self._hub.robots.here():  # one after the other: nothing holds the history of the whole fleet
+            for robot in self._host.robots_here():  # one after the other: nothing holds the history of the whole fleet
                 async with self._turn:
-                    collected = self._collect(robot)
-                    body = await asyncio.to_thread(self._body, robot, *collected, is_chosen=robot.name == chosen)
+                    motion = robot.recorded_motion()
+                    if motion is None:  # it was forgotten meanwhile
+                        continue
+                    collected = self._collect(motion)
+                    body = await asyncio.to_thread(self._body, motion, *collected, is_chosen=robot.name == chosen)
                 async with asyncio.timeout(SEND_TIMEOUT_S):
                     await response.write(b'%s{"name":%s,%s' % (before, msgspec.json.encode(robot.name), body[1:]))
                 before = b","
@@ -272,15 +272,14 @@ class HistoryRoutes:
                 request.transport.abort()
         return response
 
-    def _collect(self, robot: LocalRobot) -> tuple[list[Iterator[Entry]], Pose | None, float]:
+    def _collect(self, motion: RecordedMotion) -> tuple[list[Iterator[Entry]], Pose | None, float]:
         """Copy the messages, the pose and the time in the event loop's thread, so that they belong together."""
-        now_s = loop_time_s()
-        snapshot = robot.odometry.snapshot(now_s)
-        return self._black_box.rings.copies(robot.name), None if snapshot is None else snapshot.pose, now_s
+        present = motion.present
+        return self._black_box.rings.copies(motion.robot), None if present is None else present.pose, loop_time_s()
 
     def _body(
         self,
-        robot: LocalRobot,
+        motion: RecordedMotion,
         copies: list[Iterator[Entry]],
         present: Pose | None,
         now_s: float,
@@ -289,17 +288,13 @@ class HistoryRoutes:
     ) -> bytes:
         """Read thousands of messages, in a thread. Without `is_chosen`, return only poses and events."""
         rest = Pauses()
-        topics = robot.shown
-        odometry = None
-        if topics.odometry is not None and topics.odometry_type is not None:
-            odometry = (topics.odometry, topics.odometry_type)
-        history = RobotHistory(robot.name, odometry=odometry, commands=twist_topic(robot))
+        history = RobotHistory(motion.robot, odometry=motion.odometry, commands=motion.commands)
         for entry in heapq.merge(*copies, key=lambda entry: entry.at_s):
             rest()
             history.add(entry)
-        estimator = robot.odometry.anew()
+        estimator = motion.estimator
         if is_chosen:
-            return encode_history(history_view(self._hub.catalog, history, estimator, present, now_s, rest), rest)
+            return encode_history(history_view(self._host.messages, history, estimator, present, now_s, rest), rest)
         return encode_history(
             {
                 "poses": [_place_view(each, now_s) for each in history.poses(estimator, present, rest)],

@@ -12,7 +12,8 @@ from typing import cast
 import structlog
 from aiohttp import web
 
-from hostlink.core.hub.hub import Hub
+from hostlink.core.config import ApiConfig
+from hostlink.core.host import Host
 from hostlink.core.runtime.acceptor import Acceptor
 from hostlink.core.runtime.arrival import Arrival
 from hostlink.core.runtime.forwarding_protocol import ForwardingProtocol
@@ -155,7 +156,8 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
     def __init__(
         self,
         inner: asyncio.Protocol,
-        hub: Hub,
+        host: Host,
+        config: ApiConfig,
         connections: ApiConnections,
         connection: ApiConnection,
         behind_since_s: float | None = None,
@@ -170,10 +172,10 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self.has_room = False  # whether the byte budget has room for a large message
         self.is_writing_paused = False  # whether the transport's buffer is full
         self._connections, self._connection = connections, connection
-        self._turns, self._share, self._came = hub.turns(), hub.budget["receiving"], hub.gates.came_s
+        self._turns, self._share, self._came = host.turns(), host.share("receiving"), host.came_s
         # A message that may be larger than the whole share takes all of it.
-        self._room_bytes = min(hub.config.api.max_message_bytes, self._share.max_bytes)
-        self._timeout_s = hub.config.api.request_timeout_s
+        self._room_bytes = min(config.max_message_bytes, self._share.max_bytes)
+        self._timeout_s = config.request_timeout_s
         self._loop = asyncio.get_running_loop()
         self._held = b""  # read, but not passed on; reading is paused
         self._offered_bytes = 0  # size of the buffer of the next read
@@ -381,8 +383,8 @@ MakeProtocol = Callable[[], asyncio.Protocol]
 class ApiListener:
     """Accepts connections, and aborts those that wait too long or are too many."""
 
-    def __init__(self, connections: ApiConnections, hub: Hub) -> None:
-        self.connections, self._hub = connections, hub
+    def __init__(self, connections: ApiConnections, host: Host, config: ApiConfig) -> None:
+        self.connections, self._host, self._config = connections, host, config
         self._sweeper: asyncio.TimerHandle
         self._lines = Budget()
         self._logged: Counter[str] = Counter()
@@ -403,11 +405,11 @@ class ApiListener:
                 sock.close()
             else:
                 new.accepted = sock
-                self._hub.spawn(self._open(sock, new, since_s, make_protocol, tls), name=f"connection of {address}")
+                self._host.spawn(self._open(sock, new, since_s, make_protocol, tls), name=f"connection of {address}")
             if new is None or leaving is not None:
                 self._log_crowd(address)
 
-        acceptor = Acceptor(listening, accepted, on_exhausted=self._note_exhausted, came_s=self._hub.gates.came_s)
+        acceptor = Acceptor(listening, accepted, on_exhausted=self._note_exhausted, came_s=self._host.came_s)
         self._sweep()
         try:
             yield
@@ -430,7 +432,9 @@ class ApiListener:
         behind_since_s = since_s if tls is None else None
         try:
             await asyncio.get_running_loop().connect_accepted_socket(
-                lambda: PacedReading(make_protocol(), self._hub, self.connections, connection, behind_since_s),
+                lambda: PacedReading(
+                    make_protocol(), self._host, self._config, self.connections, connection, behind_since_s
+                ),
                 sock,
                 ssl=tls,
                 ssl_handshake_timeout=None if tls is None else self.connections.request_timeout_s,

@@ -1,10 +1,10 @@
-"""Metrics for Prometheus: counters of the hub and of the clients, read at each request, and latencies."""
+"""Metrics for Prometheus: counters of the host and of the clients, read at each request, and latencies."""
 
 import asyncio
-import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
+from itertools import islice
 from typing import NamedTuple, TypeVar
 
 from aiohttp import web
@@ -23,9 +23,8 @@ from hostlink.components.gateway.rest import Owners
 from hostlink.components.gateway.routes import Route
 from hostlink.components.recorder.folder import MEGABYTE, DiskUsage, Folder
 from hostlink.components.recorder.recordings import Recordings
-from hostlink.core.hub.device import Device
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.config import BlackBoxConfig
+from hostlink.core.host import LinkMeasures, Measures, RobotMeasures
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime import logs
 from hostlink.core.runtime.latency import Latency
@@ -86,20 +85,21 @@ def _filled(family: _Family, found: float | _Samples) -> _Family:
 
 
 class Metrics:
-    """The metrics of one daemon. Each request reads the hub, clients and recordings: no counter exists twice."""
+    """The metrics of one daemon. Each request reads the host, clients and recordings: no counter exists twice."""
 
     def __init__(
         self,
-        hub: Hub,
+        measures: Measures,
         clients: Clients,
         limit: RateLimit,
         connections: ApiConnections,
         owners: Owners,
         recordings: Recordings,
+        black_box: BlackBoxConfig,
     ) -> None:
         self.to_client = Latency()  # from the arrival of a message to the client's socket
-        self._hub, self._clients, self._limit, self._connections = hub, clients, limit, connections
-        self._owners, self._recordings = owners, recordings
+        self._measures, self._clients, self._limit, self._connections = measures, clients, limit, connections
+        self._owners, self._recordings, self._black_box = owners, recordings, black_box
         self._process = ProcessCollector(registry=None)
         self._folders = {"recordings": recordings.folder, "incidents": recordings.black_box.folder}
         self._looking: asyncio.Future[dict[str, DiskUsage]] | None = None
@@ -134,10 +134,10 @@ class Metrics:
     def _collect(self) -> Iterator[Metric]:
         yield from self._process.collect()
         yield from self._of_daemon()
-        for robots in _slices(self._hub.robots.here()):
+        for robots in _slices(self._measures.robots()):
             yield from self._of_robots(robots)
-        for devices in _slices(list(self._hub.robots.devices.values())):
-            yield from self._of_links(devices)
+        for links in _slices(self._measures.links()):
+            yield from self._of_links(links)
         yield from self._of_clients()
         yield from self._of_recordings()
         yield from self._of_black_box()
@@ -146,81 +146,74 @@ class Metrics:
             yield _gauge(f"disk_{name}", text, usage, "folder")
 
     def _of_daemon(self) -> Iterator[Metric]:
-        hub = self._hub
-        counts, crashes, links = hub.counts, hub.isolation.crashes, hub.links
+        found = self._measures.daemon()
         yield InfoMetricFamily("hostlink", "This daemon", value={"version": version("hostlink")})
-        yield _gauge("links", "Live connections of devices", len(links.all()))
-        yield _counter("link_crashes", "Connections ended by an internal error of hostlink", crashes["link"])
-        yield _counter("messages_unheard", "Messages of devices whose topics were not known in time", links.undelivered)
-        yield _counter("crashes", "Internal errors, by what they ended", crashes.items(), "what")
+        yield _gauge("links", "Live connections of devices", found.links)
         yield _counter(
-            "device_calls_refused", "Service calls of devices refused because of a limit", links.calls.refused
+            "link_crashes", "Connections ended by an internal error of hostlink", found.crashes.get("link", 0)
         )
-        yield _counter("service_late_answers", "Answers of devices' services after their timeout", links.late_answers)
+        yield _counter(
+            "messages_unheard", "Messages of devices whose topics were not known in time", found.messages_unheard
+        )
+        yield _counter("crashes", "Internal errors, by what they ended", found.crashes.items(), "what")
+        yield _counter(
+            "device_calls_refused", "Service calls of devices refused because of a limit", found.device_calls_refused
+        )
+        yield _counter("service_late_answers", "Answers of devices' services after their timeout", found.late_answers)
         yield _counter(
             "messages_out_of_order",
             "Messages delivered before their turn because too many waited",
-            hub.topics.deliveries.out_of_order,
+            found.messages_out_of_order,
         )
         yield _counter("log_lines_lost", "Log lines that could not be written", logs.output.lost_lines)
         yield _counter("log_lines_left_out", "Log lines over the budget of their source", logs.budget.left_out)
-        yield _counter("connections_refused", "Devices refused, by cause", counts.refused.items(), "cause")
-        yield _counter(
-            "datagrams_dropped", "UDP datagrams dropped, by cause", counts.datagrams_dropped.items(), "cause"
-        )
-        events = [((graph, what), count) for graph, read in counts.components.items() for what, count in read().items()]
+        yield _counter("connections_refused", "Devices refused, by cause", found.refused.items(), "cause")
+        yield _counter("datagrams_dropped", "UDP datagrams dropped, by cause", found.datagrams_dropped.items(), "cause")
+        events = [
+            ((graph, what), count) for graph, counts in found.components.items() for what, count in counts.items()
+        ]
         yield _counter("graph_events", "Events of a graph", events, "graph", "what")
-        hosts = Counter(robot.host for robot in hub.robots.remote.values() if robot.link)
-        yield _gauge("fleet_robots", "Connected robots of other daemons", hosts.items(), "host")
+        yield _gauge("fleet_robots", "Connected robots of other daemons", found.fleet_robots.items(), "host")
         yield _counter(
             "robots_forgotten",
             "Robots forgotten after a long disconnection, or because of too many",
-            hub.robots.forgotten,
+            found.robots_forgotten,
         )
-        kept = hub.budget.shares
-        held = [(kind, share.held_bytes) for kind, share in kept.items()]
+        held = [(kind, share.held_bytes) for kind, share in found.kept.items()]
         yield _gauge("kept_bytes", "Bytes from clients that are kept, by kind", held, "kind")
-        refused = [(kind, share.refused) for kind, share in kept.items()]
+        refused = [(kind, share.refused) for kind, share in found.kept.items()]
         yield _counter("kept_refused", "Items refused because the byte budget of their kind was full", refused, "kind")
 
-    def _of_robots(self, robots: Sequence[LocalRobot]) -> Iterator[Metric]:
-        now_s = asyncio.get_running_loop().time()
-        odometry = [(each.name, found) for each in robots if (found := each.odometry.snapshot(now_s)) is not None]
-        connected = [(each.name, each.link is not None) for each in robots]
+    def _of_robots(self, robots: Sequence[RobotMeasures]) -> Iterator[Metric]:
+        odometry = [(each.name, each.odometry) for each in robots if each.odometry is not None]
+        connected = [(each.name, each.is_connected) for each in robots]
         yield _gauge("robot_connected", "1 while its device is connected", connected, "robot")
         ages_s = [(name, found.age_s) for name, found in odometry]
         yield _gauge("robot_odometry_age_seconds", "Age of the newest pose", ages_s, "robot")
         yield _counter("robot_poses", "Poses received", [(name, found.count) for name, found in odometry], "robot")
-        refused = [(each.name, each.refusals.count) for each in robots]
+        refused = [(each.name, each.velocities_refused) for each in robots]
         yield _counter("robot_velocity_refused", "Velocities that the device could not receive", refused, "robot")
         unreadable = [(each.name, each.unreadable) for each in robots]
         yield _counter("robot_unreadable", "Odometry messages that could not be decoded", unreadable, "robot")
         outcomes = [
-            *(((each.name, name), n) for each in robots for name, n in dataclasses.asdict(each.gate.counts).items()),
-            *(
-                ((each.name, f"refused_{kind}"), n)
-                for each in robots
-                for kind, n in each.gate.admission.refused.items()
-            ),
+            *(((each.name, name), n) for each in robots for name, n in each.outcomes.items()),
+            *(((each.name, f"refused_{kind}"), n) for each in robots for kind, n in each.refusals.items()),
         ]
         yield _counter("robot_gate", "Commands at the velocity gate, by outcome", outcomes, "robot", "outcome")
-        locked = [(each.name, each.gate.lock_reason is not None) for each in robots]
+        locked = [(each.name, each.is_locked) for each in robots]
         yield _gauge("robot_locked", "1 while the robot is locked", locked, "robot")
-        driven = [(each.name, each.gate.owner is not None) for each in robots]
+        driven = [(each.name, each.is_driven) for each in robots]
         yield _gauge("robot_driven", "1 while the robot is driven", driven, "robot")
-        commanded = [sample for each in robots for sample in _by_axis(each.name, each.gate.current)]
+        commanded = [sample for each in robots for sample in _by_axis(each.name, each.commanded)]
         yield _gauge("robot_commanded_speed", "Commanded, m/s and rad/s", commanded, "robot", "axis")
         measured = [sample for name, found in odometry if found.twist for sample in _by_axis(name, found.twist)]
         yield _gauge("robot_speed", "Measured, m/s and rad/s", measured, "robot", "axis")
-        volts = [(each.name, each.battery.voltage_v) for each in robots if each.battery is not None]
+        volts = [(each.name, each.battery_v) for each in robots]
         yield _gauge("robot_battery_volts", "Measured by the device", volts, "robot")
 
-    def _of_links(self, devices: Sequence[Device]) -> Iterator[Metric]:
+    def _of_links(self, found: Sequence[LinkMeasures]) -> Iterator[Metric]:
         names = ("peer", "robot")
-        links = [
-            ((each.link.address, "" if each.robot is None else each.robot.name), each.link, each.link.facts())
-            for each in devices
-        ]
+        links = [((each.address, each.robot), each, each.facts) for each in found]
         for name, text in _LINK_COUNTERS.items():
             counts = [(labels, getattr(facts.counts, name)) for labels, _, facts in links]
             yield _counter(f"link_{name}", text, counts, *names)
@@ -267,7 +260,7 @@ class Metrics:
         yield _counter(
             "velocities_replaced",
             "Velocities of clients replaced by a newer one before they were executed",
-            self._hub.counts.velocities_replaced.items(),
+            self._clients.velocities_replaced.items(),
             "kind",
         )
         yield _gauge("api_connections", "TCP connections to the API's port", len(self._connections))
@@ -285,7 +278,7 @@ class Metrics:
         yield _counter("recordings_removed", "Old files removed for the budget", recordings.removed)
 
     def _of_black_box(self) -> Iterator[Metric]:
-        box, config = self._recordings.black_box, self._hub.config.black_box
+        box, config = self._recordings.black_box, self._black_box
         yield _gauge("incidents_pending", "Incidents not saved yet", len(box.pending))
         outcomes = [("saved", box.saved), ("failed", box.missed)]
         yield _counter("incidents", "Incidents, by outcome", outcomes, "outcome")
@@ -302,10 +295,12 @@ def _by_axis(robot: str, velocity: PlanarVelocity) -> Iterator[tuple[tuple[str, 
         yield (robot, axis), value
 
 
-def _slices(items: Sequence[Item]) -> Iterator[Sequence[Item]]:
+def _slices(items: Iterator[Item]) -> Iterator[Sequence[Item]]:
     """Yield SLICE items at a time; nothing once if there are none, so that each family has its comment."""
-    for start in range(0, max(len(items), 1), SLICE):
-        yield items[start : start + SLICE]
+    piece = list(islice(items, SLICE))
+    yield piece
+    while piece := list(islice(items, SLICE)):
+        yield piece
 
 
 def _usage_of(folders: dict[str, Folder]) -> dict[str, DiskUsage]:

@@ -17,7 +17,7 @@ from hostlink.components.gateway.routes import BODY, FILE, Route, reply
 from hostlink.components.recorder.folder import MEGABYTE, NAME_PATTERN, Folder, StoredFile
 from hostlink.components.recorder.recorder import TopicSelection
 from hostlink.components.recorder.recordings import Recording, Recordings
-from hostlink.core.hub.node import Role
+from hostlink.core.host import Role
 from hostlink.errors import BadRequest, UnknownTopic
 
 MAX_PATTERNS = 256  # topics and robots in one request

@@ -15,37 +15,26 @@ from aiohttp import web
 from hostlink.components.gateway.access import GRANT, caller_name
 from hostlink.components.gateway.bodies import convert_velocity, decode_body, whole_number
 from hostlink.components.gateway.clients import Clients, ClientView
-from hostlink.components.gateway.devices import DevicesView, devices_view
 from hostlink.components.gateway.routes import BODY, CAME, Route, error_status, error_view, refusal, reply
-from hostlink.components.gateway.views import (
-    FindingView,
-    LinksView,
-    Slices,
-    StoppedRobotView,
-    VelocityAnswer,
-    command_endpoint_view,
-    finding_views,
-    links_view,
-    odometry_view,
-    robot_view,
-    stopped_view,
-    topic_views,
-    utc_text,
-    velocity_answer,
-)
+from hostlink.components.gateway.views import Slices, VelocityAnswer, links_view, utc_text, velocity_answer
 from hostlink.components.recorder.drives import Drive, DriveLog
 from hostlink.core.config import Config, TcpConfig, UdpConfig
-from hostlink.core.hub.device import CommandEndpoint
-from hostlink.core.hub.hub import Hub, Listening
-from hostlink.core.hub.message import PROGRAM_PRIORITY
-from hostlink.core.hub.node import Role
-from hostlink.core.hub.participant import Participant
-from hostlink.core.hub.reloader import Reloader
-from hostlink.core.hub.robot import LOCK_REASON, AnyRobot
-from hostlink.core.hub.standstills import MAX_WAIT_S, WAIT_S
+from hostlink.core.host import (
+    LOCK_REASON,
+    MAX_WAIT_S,
+    PROGRAM_PRIORITY,
+    WAIT_S,
+    Host,
+    Listening,
+    Participant,
+    PlanarVelocity,
+    RobotHandle,
+    Role,
+)
+from hostlink.core.robot.device_views import ArrivalView, DevicesView, FindingView, LinksView
 from hostlink.core.robot.state import MAX_PRIORITY
-from hostlink.core.robot.velocity import PlanarVelocity
-from hostlink.core.robot.views import CommandEndpointView, OdometryView, RobotView, TopicView
+from hostlink.core.robot.state_views import odometry_view, robot_view, stopped_view
+from hostlink.core.robot.views import CommandEndpointView, OdometryView, RobotView, StoppedRobotView, TopicView
 from hostlink.core.runtime.listening import own_address, spelled
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import BadRequest, DeviceGone, HostlinkError, UnknownTopic
@@ -64,9 +53,9 @@ class Owners:
     When there are more than MAX_OWNERS, the one that was silent longest leaves, and what it drives stops.
     """
 
-    def __init__(self, hub: Hub) -> None:
+    def __init__(self, host: Host) -> None:
         self.evicted = 0
-        self._hub = hub
+        self._host = host
         self._owners: OrderedDict[str, Participant] = OrderedDict()
 
     def __len__(self) -> int:
@@ -82,7 +71,7 @@ class Owners:
         """Return the participant of this name; create it if there is none."""
         owner = self._owners.pop(name, None)
         if owner is None or owner.has_left:
-            owner = self._hub.join(f"program ({name})", role=role)
+            owner = self._host.join(f"program ({name})", role=role)
         self._owners[name] = owner
         if len(self._owners) > MAX_OWNERS:
             self._owners.popitem(last=False)[1].leave()
@@ -120,18 +109,6 @@ class ListeningView(TypedDict):
     serial: list[SerialPortView]
     simulate: str | None
     address: str | None
-
-
-class ArrivalView(TypedDict):
-    """Arrivals of one address and cause in the last minute that are not a robot. ago_s: age of the last one."""
-
-    way: str
-    peer: str
-    cause: str
-    text: str
-    count: int
-    ago_s: float
-    diagnosis: list[FindingView]
 
 
 class DaemonDiagnosisView(TypedDict):
@@ -325,11 +302,11 @@ class ReadinessView(TypedDict):
 
 
 class Rest:
-    """Handlers of the routes. Each calls the hub and returns its result."""
+    """Handlers of the routes. Each calls the host and returns its result."""
 
-    def __init__(self, hub: Hub, clients: Clients, owners: Owners, drives: DriveLog, reloader: Reloader) -> None:
-        self._hub, self._clients, self._owners = hub, clients, owners
-        self._drives, self._reloader = drives, reloader
+    def __init__(self, host: Host, config: Config, clients: Clients, owners: Owners, drives: DriveLog) -> None:
+        self._host, self._config, self._clients, self._owners = host, config, clients, owners
+        self._drives = drives
 
     def routes(self) -> list[Route]:
         """Return the routes."""
@@ -420,34 +397,34 @@ class Rest:
             Route("/readyz", self._readiness, ReadinessView, role=None, fails=(UNAVAILABLE,)),
         ]
 
-    def _find(self, request: web.Request) -> AnyRobot:
+    def _find(self, request: web.Request) -> RobotHandle:
         """Return the robot that the path names.
 
         Raises:
             UnknownTopic: no robot has this name.
         """
-        return self._hub.robots.find(request.match_info["name"])
+        return self._host.find(request.match_info["name"])
 
-    def _find_to_stop(self, request: web.Request) -> AnyRobot:
+    def _find_to_stop(self, request: web.Request) -> RobotHandle:
         """Return the robot that the path names, also one of the settings that was not connected yet. As `_find`."""
-        return self._hub.robots.find_to_stop(request.match_info["name"])
+        return self._host.find_to_stop(request.match_info["name"])
 
-    def _find_to_drive(self, request: web.Request) -> AnyRobot:
+    def _find_to_drive(self, request: web.Request) -> RobotHandle:
         """Return the robot that the path names, for a request that drives it. Raises as `_find`."""
-        return self._hub.robots.find(request.match_info["name"], driver=lambda: self._owner(request))
+        return self._host.find(request.match_info["name"], driver=lambda: self._owner(request))
 
     async def _robots(self, _: web.Request) -> web.Response:
         """Every robot."""
-        return reply({"robots": [robot_view(robot) for robot in self._hub.robots.all()]})
+        return reply({"robots": [robot_view(state) for state in self._host.robots()]})
 
     async def _robot(self, request: web.Request) -> web.Response:
         """One robot."""
-        return reply(robot_view(self._find(request)))
+        return reply(robot_view(self._find(request).state()))
 
     async def _odometry(self, request: web.Request) -> web.Response:
         """Pose and twist."""
         robot = self._find(request)
-        odometry = robot.odometry.snapshot(loop_time_s())
+        odometry = robot.odometry()
         if odometry is None:
             raise DeviceGone(robot.name, robot.why_unknown())
         return reply(odometry_view(odometry))
@@ -459,15 +436,15 @@ class Rest:
         body = convert_velocity(fields, VelocityRequest, f"the body must be {VELOCITY}")
         velocity = PlanarVelocity(body.linear, body.linear_y, body.angular)
         owner = self._owner(request)
-        limited = owner.drive(
-            robot,
+        limited = robot.drive(
+            owner,
             velocity,
             priority=body.priority,
             received_s=request[CAME],
             epoch=body.epoch,
             take_over=body.take_over,
         )
-        limited = await owner.driven(robot, limited)
+        limited = await robot.driven(owner, limited)
         return reply(velocity_answer(robot, velocity, limited))
 
     def _owner(self, request: web.Request) -> Participant:
@@ -489,22 +466,22 @@ class Rest:
         The topics that command a motion and are not a robot's are listed, with those that could not be sent a zero. If
         a robot could not be sent one, or a daemon did not answer, the error's answer has all of that, too.
         """
-        return await self._halt(request, partial(self._hub.robots.stop_all, by=_caller(request)))
+        return await self._halt(request, partial(self._host.stops.stop_all, by=_caller(request)))
 
     async def _halt(
-        self, request: web.Request, halt: Callable[[], object], robot: AnyRobot | None = None
+        self, request: web.Request, halt: Callable[[], object], robot: RobotHandle | None = None
     ) -> web.Response:
         """Stop or lock the robot, or all, and measure. A failure is answered with what became of all the others."""
-        since_s, failure, found = loop_time_s(), None, list[CommandEndpoint]()
+        since_s, failure, found = loop_time_s(), None, list[CommandEndpointView]()
         try:
             halt()
         except HostlinkError as error:  # the others have been sent theirs
             failure = error
         try:
-            found = await self._hub.gates.settled()
+            found = await self._host.stops.settled()
         except HostlinkError as error:
             failure = failure or error
-        endpoints = self._hub.robots.endpoints() if robot is None else robot.unguarded_endpoints
+        endpoints = self._host.stops.endpoints() if robot is None else robot.endpoints()
         return await self._measured(request, since_s, robot, endpoints=[*endpoints, *found], failure=failure)
 
     async def _standstill(self, request: web.Request) -> web.Response:
@@ -519,25 +496,28 @@ class Rest:
         self,
         request: web.Request,
         since_s: float,
-        robot: AnyRobot | None = None,
+        robot: RobotHandle | None = None,
         *,
-        endpoints: Sequence[CommandEndpoint] | None = None,
+        endpoints: Sequence[CommandEndpointView] | None = None,
         failure: HostlinkError | None = None,
     ) -> web.Response:
         """Measure whether the robot is stopped, or whether all are. Every stop has been sent before this waits."""
-        robots = self._hub.robots.all() if robot is None else [robot]
-        measured = await self._hub.standstills.measure(robots, since_s, wait_s=_wait_s(request))
-        views = [stopped_view(*each) for each in zip(robots, measured, strict=True)]
-        found: dict[str, object] = {"robots": views} if robot is None else {**views[0]}
+        found: dict[str, object]
+        wait_s = _wait_s(request)
+        if robot is None:
+            measured = await self._host.stops.measure_all(since_s, wait_s=wait_s)
+            found = {"robots": [stopped_view(*each) for each in measured]}
+        else:
+            found = {**stopped_view(*await robot.measure(since_s, wait_s=wait_s))}
         if endpoints is not None:
-            found["endpoints"] = [command_endpoint_view(each) for each in endpoints]
+            found["endpoints"] = endpoints
         if failure is None:
             return reply(found)
         return reply({**error_view(failure), **found}, error_status(failure))
 
     def _lock_all_at_once(self, request: web.Request) -> None:
         with contextlib.suppress(HostlinkError):  # `_lock_all` answers it
-            self._hub.robots.lock_all(LOCK_REASON, by=_caller(request))
+            self._host.stops.lock_all(by=_caller(request))
 
     def _lock_at_once(self, request: web.Request) -> None:
         robot = self._find_to_stop(request)
@@ -549,18 +529,18 @@ class Rest:
 
         What connects later is locked, too.
         """
-        robots, by = self._hub.robots, _caller(request)
+        stops, by = self._host.stops, _caller(request)
         try:  # an invalid reason locks, too
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; all are locked')
         except BadRequest:
-            robots.lock_all(LOCK_REASON, by=by)
+            stops.lock_all(by=by)
             raise
-        return await self._halt(request, partial(robots.lock_all, body.reason, by=by))
+        return await self._halt(request, partial(stops.lock_all, body.reason, by=by))
 
     async def _unlock_all(self, request: web.Request) -> web.Response:
         """Unlock every robot and board."""
-        self._hub.robots.unlock_all(by=_caller(request))
-        await self._hub.gates.settled()
+        self._host.stops.unlock_all(by=_caller(request))
+        await self._host.stops.settled()
         return await self._robots(request)
 
     async def _lock(self, request: web.Request) -> web.Response:
@@ -577,13 +557,13 @@ class Rest:
         """Unlock the robot."""
         robot = self._find(request)
         robot.unlock(by=_caller(request))
-        await self._hub.gates.settled()
-        return reply(robot_view(robot))
+        await self._host.stops.settled()
+        return reply(robot_view(robot.state()))
 
     async def _reset_odometry(self, request: web.Request) -> web.Response:
         """Set the origin of odometry to the present pose."""
         robot = self._find(request)
-        reset = robot.state(loop_time_s()).reset_topic
+        reset = robot.state().reset_topic
         if reset is None:
             raise UnknownTopic("reset topic", f"{robot.name}/reset_odometry")
         if robot.link is None:
@@ -593,15 +573,15 @@ class Rest:
 
     async def _links(self, _: web.Request) -> web.Response:
         """Every live connection of a device."""
-        return reply(await links_view(self._hub, Slices(self._hub)))
+        return reply(await links_view(self._host.devices, Slices(self._host.turns())))
 
     async def _devices(self, _: web.Request) -> web.Response:
         """Whether each connected device is a robot, and why."""
-        return reply(devices_view(self._hub))
+        return reply(self._host.devices.all())
 
     async def _topics(self, _: web.Request) -> web.Response:
         """Every topic."""
-        return reply({"topics": topic_views(self._hub)})
+        return reply({"topics": self._host.graph.topic_views()})
 
     async def _all_clients(self, _: web.Request) -> web.Response:
         """Every client and its backlog."""
@@ -622,29 +602,17 @@ class Rest:
 
     async def _listening(self, _: web.Request) -> web.Response:
         """Addresses and serial ports where devices connect."""
-        return reply(listening_view(self._hub.listening, self._hub.config, own_address()))
+        return reply(listening_view(self._host.listening, self._config, own_address()))
 
     async def _diagnosis(self, _: web.Request) -> web.Response:
         """Findings that belong to no link, and what came in the last minute and is not a robot."""
-        diagnoses = self._hub.diagnoses
-        arrivals: list[ArrivalView] = [
-            {
-                "way": each.way,
-                "peer": each.peer,
-                "cause": each.cause,
-                "text": each.text,
-                "count": each.count,
-                "ago_s": round(each.ago_s, 1),
-                "diagnosis": finding_views(each.findings),
-            }
-            for each in diagnoses.arrivals()
-        ]
-        findings = diagnoses.daemon_findings(listening_text(self._hub.listening, self._hub.config))
-        return reply({"findings": finding_views(findings), "arrivals": arrivals})
+        devices = self._host.devices
+        findings = devices.findings(listening_text(self._host.listening, self._config))
+        return reply({"findings": findings, "arrivals": devices.arrivals()})
 
     async def _reload(self, _: web.Request) -> web.Response:
         """Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing."""
-        return reply(dataclasses.asdict(await self._reloader.reload()))
+        return reply(dataclasses.asdict(await self._host.reload()))
 
     async def _health(self, _: web.Request) -> web.Response:
         """Whether the daemon runs."""
@@ -652,7 +620,7 @@ class Rest:
 
     async def _readiness(self, _: web.Request) -> web.Response:
         """Whether every known robot is connected."""
-        robots = self._hub.robots.here()
+        robots = self._host.robots_here()
         missing = [robot.name for robot in robots if robot.link is None]
         is_ready = bool(robots) and not missing
         if not is_ready:

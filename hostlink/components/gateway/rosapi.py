@@ -1,19 +1,14 @@
 """RosApi: the services by which rosbridge's clients read the graph, answered from the hub."""
 
-import functools
 import socket
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping, Sequence
 from typing import Any
 
 import msgspec
 
-from hostlink.components.gateway.views import node_name, receivers
 from hostlink.core.config import ParameterScalar, ParameterValue
-from hostlink.core.hub.hub import DAEMON, Hub
-from hostlink.core.hub.parameters import to_parameter
-from hostlink.core.hub.topic import Topic
-from hostlink.core.hub.topic_graph import resolve
+from hostlink.core.host import Host, KnownTopic, resolve, to_parameter
 from hostlink.core.messages.catalog import to_time
 from hostlink.core.messages.fields import BUILT_IN, FLOATS, SCALAR, Constant, Field, bool_value
 from hostlink.core.messages.message_type import MessageType, ServiceType
@@ -27,7 +22,7 @@ _Value = ParameterScalar | list[ParameterScalar]
 class Parameters:
     """Parameters by full name (`/robot_0/gain`). The settings may have relative names."""
 
-    def __init__(self, settings: dict[str, ParameterValue]) -> None:
+    def __init__(self, settings: MutableMapping[str, ParameterValue]) -> None:
         self._settings = settings
 
     def names(self) -> list[str]:
@@ -180,11 +175,10 @@ _TYPE_NAMES = {"action_servers": "GetActionServers", "get_ros_version": "GetROSV
 class RosApi:
     """The /rosapi/ services. `offer` provides them all."""
 
-    def __init__(self, hub: Hub) -> None:
-        self._hub = hub
-        self._participant = hub.join_daemon()
-        self._parameters = Parameters(hub.parameters)
-        self._node = functools.partial(node_name, hub)
+    def __init__(self, host: Host) -> None:
+        self._graph, self._messages = host.graph, host.messages
+        self._participant = host.join_as_daemon()
+        self._parameters = Parameters(host.parameters)
 
     def offer(self) -> None:
         """Register every service under /rosapi/."""
@@ -199,7 +193,7 @@ class RosApi:
             "services": lambda _: {"services": self._service_names()},
             "services_for_type": self._services_for_type,
             "service_type": self._service_type,
-            "service_node": lambda of: {"node": self._node_of_service(_text(of, "service"))},
+            "service_node": lambda of: {"node": self._graph.provider(_text(of, "service"))},
             "service_host": self._service_host,
             "service_providers": self._service_providers,
             "nodes": self._nodes,
@@ -223,9 +217,9 @@ class RosApi:
 
     # -- topics and types ---------------------------------------------------------------------------------------------
 
-    def _known_topics(self) -> list[Topic]:
+    def _known_topics(self) -> list[KnownTopic]:
         """Return the topics whose type is known. A topic that has only subscribers may have none."""
-        return [topic for topic in self._hub.topics.all() if topic.type_name]
+        return [topic for topic in self._graph.topics() if topic.type_name]
 
     def _topics(self, _: Request) -> Response:
         topics = self._known_topics()
@@ -240,19 +234,19 @@ class RosApi:
         return {"topics": [topic.name for topic in self._known_topics() if topic.type_name == wanted]}
 
     def _topic_type(self, request: Request) -> Response:
-        topic = self._hub.topics.find_or_none(_text(request, "topic"))
+        topic = self._graph.topic(_text(request, "topic"))
         return {"type": "" if topic is None else topic.type_name}
 
     def _message_details(self, request: Request) -> Response:
         name = _text(request, "type")
-        found = self._hub.catalog.message(name)
+        found = self._messages.message(name)
         if found is None:
             raise UnknownTopic("message type", name)
         return {"typedefs": describe(found)}
 
     def _service(self, request: Request) -> ServiceType:
         name = _text(request, "type")
-        found = self._hub.catalog.service(name)
+        found = self._messages.service(name)
         if found is None:
             raise UnknownTopic("service type", name)
         return found
@@ -260,53 +254,44 @@ class RosApi:
     # -- services -----------------------------------------------------------------------------------------------------
 
     def _service_names(self) -> list[str]:
-        return [name for name, _ in self._hub.services.all()]
+        return [name for name, _ in self._graph.services()]
 
     def _services_for_type(self, request: Request) -> Response:
         wanted = _plain(_text(request, "type"))
-        return {"services": [name for name, type_name in self._hub.services.all() if _plain(type_name) == wanted]}
+        return {"services": [name for name, type_name in self._graph.services() if _plain(type_name) == wanted]}
 
     def _service_type(self, request: Request) -> Response:
-        return {"type": dict(self._hub.services.all()).get(resolve(_text(request, "service")), "")}
+        return {"type": dict(self._graph.services()).get(resolve(_text(request, "service")), "")}
 
     def _service_host(self, request: Request) -> Response:
-        is_known = self._node_of_service(_text(request, "service"))
+        is_known = self._graph.provider(_text(request, "service"))
         return {"host": socket.gethostname() if is_known else ""}
 
     def _service_providers(self, request: Request) -> Response:
         """Return the providers of a service, or of every service of a type: rosbridge's versions differ."""
         wanted = _text(request, "service")
-        names = [name for name, type_name in self._hub.services.all() if wanted == type_name or resolve(wanted) == name]
-        return {"providers": sorted({self._node_of_service(name) for name in names})}
-
-    def _node_of_service(self, name: str) -> str:
-        found = self._hub.services.find_or_none(name)
-        return "" if found is None else self._node(found.key)
+        names = [name for name, type_name in self._graph.services() if wanted == type_name or resolve(wanted) == name]
+        return {"providers": sorted({self._graph.provider(name) for name in names})}
 
     # -- nodes: hostlink itself, every device, every client -----------------------------------------------------------
 
     def _nodes(self, _: Request) -> Response:
-        topics = self._hub.topics.all()
-        keys = {key for topic in topics for key in (*topic.publishers, *receivers(topic))}
-        offered = map(self._node_of_service, self._service_names())
-        return {"nodes": sorted({f"/{DAEMON}", *map(self._node, keys), *offered})}
+        return {"nodes": sorted(self._graph.nodes())}
 
     def _node_details(self, request: Request) -> Response:
         node = _text(request, "node")
-        topics = self._hub.topics.all()
+        publishers, subscribers, providers = self._graph.by_node()
         return {
-            "publishing": [topic.name for topic in topics if node in map(self._node, topic.publishers)],
-            "subscribing": [topic.name for topic in topics if node in map(self._node, receivers(topic))],
-            "services": [name for name in self._service_names() if node == self._node_of_service(name)],
+            "publishing": [name for name, nodes in publishers.items() if node in nodes],
+            "subscribing": [name for name, nodes in subscribers.items() if node in nodes],
+            "services": [name for name, nodes in providers.items() if node in nodes],
         }
 
     def _publishers(self, request: Request) -> Response:
-        topic = self._hub.topics.find(_text(request, "topic"))
-        return {"publishers": sorted(set(map(self._node, topic.publishers)))}
+        return {"publishers": sorted(self._graph.publishers(_text(request, "topic")))}
 
     def _subscribers(self, request: Request) -> Response:
-        topic = self._hub.topics.find(_text(request, "topic"))
-        return {"subscribers": sorted(set(map(self._node, receivers(topic))))}
+        return {"subscribers": sorted(self._graph.subscribers(_text(request, "topic")))}
 
     # -- parameters ---------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""RosbridgeClient: one client that speaks rosbridge v2. Decodes operations and calls the hub, without a socket."""
+"""RosbridgeClient: one client that speaks rosbridge v2. Decodes operations and calls the host, without a socket."""
 
 import asyncio
 import base64
@@ -30,23 +30,29 @@ from hostlink.components.gateway.clients import (
     velocity_of_payload,
 )
 from hostlink.components.gateway.views import velocity_answer
-from hostlink.core.hub.byte_budget import Share
-from hostlink.core.hub.graph_view import Graph
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
-from hostlink.core.hub.node import Role
-from hostlink.core.hub.participant import MAX_ADVERTISED, MAX_CALLS, MAX_SUBSCRIPTIONS, Participant
-from hostlink.core.hub.robot import AnyRobot, LocalRobot
-from hostlink.core.hub.robot_topic_publisher import command_topics
-from hostlink.core.hub.robots import Robots
-from hostlink.core.hub.subscription import Subscription
-from hostlink.core.hub.topic_graph import TopicGraph, resolve
+from hostlink.core.config import ApiConfig
+from hostlink.core.host import (
+    MAX_ADVERTISED,
+    MAX_CALLS,
+    MAX_SUBSCRIPTIONS,
+    PROGRAM_PRIORITY,
+    Graph,
+    Host,
+    Message,
+    NodeGraph,
+    Participant,
+    PlanarVelocity,
+    RobotHandle,
+    Role,
+    Share,
+    Subscription,
+    resolve,
+)
 from hostlink.core.messages.catalog import Catalog, to_time
 from hostlink.core.messages.fields import SCALAR
 from hostlink.core.messages.message_type import MessageType, ServiceType
 from hostlink.core.robot.admission import EARLIER_EPOCH
 from hostlink.core.robot.state import MAX_PRIORITY
-from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.logs import printable
 from hostlink.core.runtime.rate_limit import REFUSED_VELOCITIES_S, RateLimit
@@ -325,7 +331,7 @@ def _is_zero(stamp: object) -> bool:
     return stamp is None or (isinstance(stamp, dict) and not any(stamp.values()))
 
 
-def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityOf | None, bool]:
+def velocity_of_request(request: Request, graph: NodeGraph) -> tuple[VelocityOf | None, bool]:
     """Return what a velocity is of (None: not a velocity) and whether it is zero."""
     if request.op == "drive":
         try:
@@ -339,10 +345,10 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityO
         return VelocityOf("drive", wanted.robot.strip("/"), terms), is_zero
     fields = request.fields
     name = fields.get("topic")
-    topic = topics.find_or_none(name) if request.op == "publish" and isinstance(name, str) else None
+    topic = graph.velocity_topic(name) if request.op == "publish" and isinstance(name, str) else None
     priority, type_name = fields.get("priority"), fields.get("type")
     is_valid = type(priority) in (int, type(None)) and isinstance(type_name, str | None)
-    if topic is None or not topic.is_gated or topic.type is None or not is_valid:
+    if topic is None or topic.type is None or not is_valid:
         return NOT_A_VELOCITY
     try:
         payload = request.payload(topic.type)
@@ -654,14 +660,14 @@ class DriveCommands:
     answer is the velocity as sent.
     """
 
-    def __init__(self, participant: Participant, robots: Robots, queue: ClientQueue, spawn: Spawn) -> None:
+    def __init__(self, participant: Participant, host: Host, queue: ClientQueue, spawn: Spawn) -> None:
         """Create the commands of one client. `spawn` runs a wait for another daemon."""
-        self._participant, self._robots, self._queue, self._spawn = participant, robots, queue, spawn
+        self._participant, self._host, self._queue, self._spawn = participant, host, queue, spawn
         self._waiting = 0
 
     def receive(self, request: Request) -> None:
         """Execute a `drive`. The answer is also sent for each operation that it replaced."""
-        robot: AnyRobot | None = None
+        robot: RobotHandle | None = None
         try:
             self._participant.check(Role.DRIVE, "drive")
             wanted = request.drive_operation()
@@ -669,13 +675,13 @@ class DriveCommands:
                 raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
             velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
             is_zero = velocity.is_zero and wanted.is_planar
-            robot = self._robots.find(wanted.robot, driver=None if is_zero else lambda: self._participant)
+            robot = self._host.find(wanted.robot, driver=None if is_zero else lambda: self._participant)
             epoch = wanted.stops if wanted.epoch is None else wanted.epoch
             if wanted.link is not None and robot.link is not None:
-                is_same = robot.resumed_link <= wanted.link <= robot.link.number
+                is_same = robot.resumed_link <= wanted.link <= robot.link
                 epoch = epoch if is_same else EARLIER_EPOCH
-            limited = self._participant.drive(
-                robot,
+            limited = robot.drive(
+                self._participant,
                 velocity,
                 priority=wanted.priority,
                 received_s=request.came_s,
@@ -696,7 +702,7 @@ class DriveCommands:
             self._spawn(self._wait(request, robot, velocity, answer))
 
     async def _wait(
-        self, request: Request, robot: AnyRobot, velocity: PlanarVelocity, answer: Awaitable[PlanarVelocity]
+        self, request: Request, robot: RobotHandle, velocity: PlanarVelocity, answer: Awaitable[PlanarVelocity]
     ) -> None:
         try:
             self._accept(request, robot, velocity, await answer)
@@ -705,20 +711,20 @@ class DriveCommands:
         finally:
             self._waiting -= 1
 
-    def _accept(self, request: Request, robot: AnyRobot, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
+    def _accept(self, request: Request, robot: RobotHandle, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
         answer: dict[str, object] = {
             "op": "drive_result",
             "result": True,
-            "link": None if robot.link is None else robot.link.number,
-            "stops": robot.admission.epoch,
+            "link": robot.link,
+            "stops": robot.epoch,
             "client": self._participant.name,
         }
         self._put(request, answer | velocity_answer(robot, velocity, limited))
 
-    def _refuse(self, request: Request, robot: AnyRobot | None, error: HostlinkError) -> None:
+    def _refuse(self, request: Request, robot: RobotHandle | None, error: HostlinkError) -> None:
         answer: dict[str, object] = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
         if isinstance(error, CommandRefused) and robot is not None:
-            answer["epoch"] = robot.admission.epoch
+            answer["epoch"] = robot.epoch
             answer["holder"] = None if error.holder is None else str(error.holder)
             answer["by"] = error.by
         self._put(request, answer)
@@ -737,8 +743,8 @@ class ClientGraph:
     daemon, with the types of its velocity topics by their names; its `link` is null while its device is disconnected.
     """
 
-    def __init__(self, participant: Participant, robots: Robots, queue: ClientQueue) -> None:
-        self._participant, self._robots, self._queue = participant, robots, queue
+    def __init__(self, participant: Participant, graph: NodeGraph, queue: ClientQueue) -> None:
+        self._participant, self._graph, self._queue = participant, graph, queue
         self._sent = b""
 
     def watch(self, _: Request) -> None:
@@ -756,10 +762,10 @@ class ClientGraph:
         robots = [
             {
                 "name": robot.name,
-                "link": None if robot.link is None else robot.link.number,
-                "velocity_topics": _velocity_topics(robot, gated),
+                "link": robot.link,
+                "velocity_topics": {name: type_ for name, type_ in robot.velocity_topics.items() if name in gated},
             }
-            for robot in self._robots.here()
+            for robot in self._graph.robots()
         ]
         data = msgspec.json.encode({"op": "graph", **graph_view(graph), "robots": robots})
         if data != self._sent:
@@ -785,14 +791,9 @@ def graph_view(graph: Graph) -> dict[str, list[dict[str, object]]]:
     }
 
 
-def _velocity_topics(robot: LocalRobot, gated: set[str]) -> dict[str, str]:
-    named = {resolve(name): type_name for name, type_name in command_topics(robot).items() if name}
-    topics = {robot.shown.velocity: TWIST_TYPE} | named
-    return {name: type_name for name, type_name in topics.items() if name in gated}
-
-
 log = structlog.get_logger()
 
+MAX_MESSAGE_BYTES = ApiConfig().max_message_bytes  # of a message in fragments, unless it is configured
 MAX_UNKNOWN_OPS = 8  # logged for each client; the number of invalid operations is unbounded
 # `drive` checks the role itself: it is always answered
 _FOR_READERS = frozenset(
@@ -809,20 +810,21 @@ class RosbridgeClient:
     def __init__(
         self,
         name: str,
-        hub: Hub,
+        host: Host,
         queue: ClientQueue,
         *,
         spawn: Spawn,
         role: Role = Role.DRIVE,
         group: str = "",
         program: str = "",
+        max_message_bytes: int = MAX_MESSAGE_BYTES,
     ) -> None:
-        """Join the hub. `spawn` runs a service call; `group`: the mirrored graph; `program`: its User-Agent."""
-        self.participant = hub.join(name, role=role, group=group, on_end=queue.close)
+        """Join the graph. `spawn` runs a service call; `group`: the mirrored graph; `program`: its User-Agent."""
+        self.participant = host.join(name, role=role, group=group, on_end=queue.close)
         self._topics = ClientTopics(self.participant)
-        services = ClientServices(self.participant, hub.catalog, queue, self._warn)
+        services = ClientServices(self.participant, host.messages, queue, self._warn)
         subscriptions = ClientSubscriptions(self.participant, queue, self._warn)
-        self._hub = hub
+        self._host = host
         self._queue = queue
         self._queue.on_dropped = self._tell_dropped
         self._dropped = Budget()  # messages that the queue has dropped
@@ -832,8 +834,8 @@ class RosbridgeClient:
         self._reads_status = not program.startswith(_NO_STATUS)
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._unknown_ops: set[str] = set()
-        self._fragments = Fragments(hub.config.api.max_message_bytes, hub.budget["fragments"])
-        self._drive = DriveCommands(self.participant, hub.robots, queue, spawn)
+        self._fragments = Fragments(max_message_bytes, host.share("fragments"))
+        self._drive = DriveCommands(self.participant, host, queue, spawn)
         self._operations: dict[str, Callable[[Request], None]] = {
             "advertise": self._topics.advertise,
             "unadvertise": self._topics.unadvertise,
@@ -845,7 +847,7 @@ class RosbridgeClient:
             "unadvertise_service": services.unadvertise,
             "service_response": services.respond,
             "set_level": self._set_level,
-            "watch_graph": ClientGraph(self.participant, hub.robots, queue).watch,
+            "watch_graph": ClientGraph(self.participant, host.graph, queue).watch,
             "auth": lambda _: None,  # old clients send it; tokens are checked when the WebSocket opens
             "fragment": self._add_fragment,
             "drive": self._drive.receive,
@@ -865,7 +867,7 @@ class RosbridgeClient:
         except BadRequest as error:
             return Operation(without_frames(error), came_s)
         request.came_s = came_s
-        velocity_of, is_zero = velocity_of_request(request, self._hub.topics)
+        velocity_of, is_zero = velocity_of_request(request, self._host.graph)
         return Operation(request, came_s, velocity_of, is_zero)
 
     def do(self, operation: Operation[Request | BadRequest]) -> None:
@@ -921,10 +923,10 @@ class RosbridgeClient:
 
     async def _finish_call(self, request: Request) -> None:
         try:
-            with self._hub.budget["calls"].holding(request.size_bytes, "pending calls"):
+            with self._host.share("calls").holding(request.size_bytes, "pending calls"):
                 name = request.text("service")
                 timeout_s = request.number("timeout") or None
-                arguments = _arguments(request, self._hub.services.type_of(name))
+                arguments = _arguments(request, self._host.graph.service_type(name))
                 values = await self.participant.call(name, arguments, timeout_s=timeout_s)
             self._answer(request, values, is_right=True)
         except HostlinkError as error:
@@ -1002,8 +1004,8 @@ class RosbridgeClient:
         if not self._reads_status:
             return False
         name = request.fields.get("topic") if request is not None and request.op == "publish" else None
-        topic = self._hub.topics.find_or_none(name) if isinstance(name, str) else None
-        if topic is None or not topic.is_gated:
+        topic = self._host.graph.velocity_topic(name) if isinstance(name, str) else None
+        if topic is None:
             return False
         return self._refused_velocities.allows((topic.name, error.kind), asyncio.get_running_loop().time())
 

@@ -11,7 +11,7 @@ from typing import Any, NotRequired, TypedDict
 import msgspec
 from aiohttp import ClientConnectionResetError, web
 
-from hostlink.core.hub.node import Role
+from hostlink.core.host import Role
 from hostlink.errors import (
     BadPayload,
     BadRequest,

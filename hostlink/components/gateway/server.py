@@ -51,9 +51,7 @@ from hostlink.components.gateway.routes import (
 from hostlink.components.gateway.web_socket import ClientSocket, close_going_away
 from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.config import ApiConfig, Config
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.node import Role
-from hostlink.core.hub.reloader import Reloader
+from hostlink.core.host import Host, Role
 from hostlink.core.runtime.acceptor import bind, why
 from hostlink.core.runtime.cancellation import raise_if_cancelled
 from hostlink.core.runtime.listening import spelled
@@ -104,11 +102,11 @@ class OpenApiView(TypedDict):
 class ApiServer:
     """The HTTP server and its WebSocket clients."""
 
-    def __init__(self, hub: Hub, recordings: Recordings, reloader: Reloader) -> None:
-        self._hub, self._recordings, self._reloader = hub, recordings, reloader
-        reloader.prepares.append(self._prepare_access)
+    def __init__(self, host: Host, settings: Config, recordings: Recordings) -> None:
+        self._host, self._settings, self._recordings = host, settings, recordings
+        host.on_reload(self._prepare_access)
         self._grants = Grants()
-        self._config = config = hub.config.api
+        self._config = config = settings.api
         self._access = Access(config)
         self._limit = RateLimit(config.max_requests_s)
         connections = ApiConnections(
@@ -116,28 +114,30 @@ class ApiServer:
             config.max_connections_per_address,
             request_timeout_s=config.request_timeout_s,
         )
-        self.listener = ApiListener(connections, hub)
+        self.listener = ApiListener(connections, host, config)
         self._clients = Clients(
             min(config.max_clients, config.max_connections - KEPT_FOR_REQUESTS),
             max_per_address=config.max_connections_per_address - KEPT_FOR_REQUESTS,
         )
-        self._owners = Owners(hub)
-        self._directory = FoxgloveDirectory(hub)
-        self._metrics = Metrics(hub, self._clients, self._limit, connections, self._owners, recordings)
+        self._owners = Owners(host)
+        self._directory = FoxgloveDirectory(host)
+        self._metrics = Metrics(
+            host.measures, self._clients, self._limit, connections, self._owners, recordings, settings.black_box
+        )
         self._sockets: set[web.WebSocketResponse] = set()
-        self._turns = hub.turns()  # shared by all requests
+        self._turns = host.turns()  # shared by all requests
         self._by_handler: dict[Handler, Route] = {}
-        RosApi(hub).offer()
+        RosApi(host).offer()
 
     def application(self) -> web.Application:
         """Return the aiohttp application with all routes."""
         app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
         routes = [
-            *Rest(self._hub, self._clients, self._owners, self._recordings.drives, self._reloader).routes(),
-            *Events(self._hub, self._clients, self._recordings).routes(),
-            *Captures(self._hub).routes(),
-            *RecordingRoutes(self._recordings, self._hub.config.recording.max_file_mb).routes(),
-            *HistoryRoutes(self._hub, self._recordings.black_box, self._recordings.folder).routes(),
+            *Rest(self._host, self._settings, self._clients, self._owners, self._recordings.drives).routes(),
+            *Events(self._host, self._clients, self._recordings).routes(),
+            *Captures(self._host.devices).routes(),
+            *RecordingRoutes(self._recordings, self._settings.recording.max_file_mb).routes(),
+            *HistoryRoutes(self._host, self._recordings.black_box, self._recordings.folder).routes(),
             self._metrics.route(),
             Route("/api/openapi.json", self._openapi, OpenApiView, role=None),
         ]
@@ -230,7 +230,7 @@ class ApiServer:
             route.on_head(request)
         if (request.content_length or 0) > most_bytes:
             raise _too_large(most_bytes)
-        bodies, held_bytes = self._hub.budget["bodies"], most_bytes if most_bytes > SMALL_BODY_BYTES else 0
+        bodies, held_bytes = self._host.share("bodies"), most_bytes if most_bytes > SMALL_BODY_BYTES else 0
         if not bodies.take(held_bytes):
             raise web.HTTPServiceUnavailable(reason="too many bodies at once", headers={"Retry-After": "1"})
         timeout_s, body = self._config.request_timeout_s, bytearray()
@@ -255,7 +255,7 @@ class ApiServer:
 
     async def _serve_client(self, request: web.Request) -> web.StreamResponse:
         kind = "foxglove" if is_foxglove(request) else "rosbridge"
-        queue = ClientQueue(self._hub.budget)
+        queue = ClientQueue(self._host.share("queues"))
         client = self._clients.enter(kind, request, queue)
         socket = web.WebSocketResponse(
             autoping=False,
@@ -282,9 +282,11 @@ class ApiServer:
                         client,
                         program,
                         queue,
-                        self._hub,
+                        self._host,
                         tasks=tasks,
                         to_client=self._metrics.to_client,
+                        replaced=self._clients.velocities_replaced,
+                        max_messages_s=self._config.max_requests_s,
                     )
                     tasks.create_task(connection.receive(), name=client.name)
             except* OSError as broken:
@@ -307,9 +309,16 @@ class ApiServer:
         """Create the protocol that the client speaks."""
         name, role = client.name, client.grant.role
         if client.kind == "foxglove":
-            return FoxgloveClient(name, self._hub, self._directory, queue, spawn=tasks.create_task, role=role)
+            return FoxgloveClient(name, self._host, self._directory, queue, spawn=tasks.create_task, role=role)
         return RosbridgeClient(
-            name, self._hub, queue, spawn=tasks.create_task, role=role, group=group, program=client.program
+            name,
+            self._host,
+            queue,
+            spawn=tasks.create_task,
+            role=role,
+            group=group,
+            program=client.program,
+            max_message_bytes=self._config.max_message_bytes,
         )
 
     async def _close_sockets(self, _: web.Application) -> None:
@@ -354,13 +363,13 @@ def url_of(host: str, port: int, *, has_tls: bool) -> str:
 
 
 @contextlib.asynccontextmanager
-async def serve_api(hub: Hub, recordings: Recordings, reloader: Reloader) -> AsyncIterator[str]:
+async def serve_api(host: Host, settings: Config, recordings: Recordings) -> AsyncIterator[str]:
     """Serve within the block. Yields the address as a URL.
 
     Raises:
         ConfigError: the port is in use, or the address is invalid.
     """
-    server, config = ApiServer(hub, recordings, reloader), hub.config.api
+    server, config = ApiServer(host, settings, recordings), settings.api
     runner = web.AppRunner(
         server.application(),
         access_log=None,
@@ -374,9 +383,9 @@ async def serve_api(hub: Hub, recordings: Recordings, reloader: Reloader) -> Asy
     await runner.setup()
     try:
         listening = await _bind(config)
-        host, port = listening[0].getsockname()[:2]
+        address, port = listening[0].getsockname()[:2]
         async with server.listener.serving(listening, protocols_of(runner), tls):
-            yield url_of(host, port, has_tls=tls is not None)
+            yield url_of(address, port, has_tls=tls is not None)
     finally:
         await runner.cleanup()
 

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import contextvars
 import struct
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -14,7 +15,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from hostlink.components.gateway.clients import Client, ClientProgram, ClientQueue, OperationQueue
 from hostlink.components.gateway.listener import PacedReading
 from hostlink.components.gateway.write_pace import WritePace
-from hostlink.core.hub.hub import Hub
+from hostlink.core.host import Host
 from hostlink.core.runtime.latency import Latency
 
 log = structlog.get_logger()
@@ -52,20 +53,26 @@ class ClientSocket:
         client: Client,
         program: ClientProgram[Any],
         queue: ClientQueue,
-        hub: Hub,
+        host: Host,
         *,
         tasks: asyncio.TaskGroup,
         to_client: Latency,
+        replaced: Counter[str],
+        max_messages_s: float,
     ) -> None:
-        """Take over the socket. `to_client`: latency from the arrival of a message to the socket, of all clients."""
+        """Take over the socket.
+
+        `to_client`: latency from the arrival of a message to the socket, of all clients. `replaced`: counter of their
+        replaced velocities, by kind. `max_messages_s`: allowed rate of messages.
+        """
         self._socket, self._transport, self._reading = socket, reading.transport, reading
         self._client, self._program, self._queue = client, program, queue
-        self._turns, self._gates, self._tasks, self._to_client = hub.turns(), hub.gates, tasks, to_client
+        self._turns, self._host, self._tasks, self._to_client = host.turns(), host, tasks, to_client
         self._loop = asyncio.get_running_loop()
         self._context = contextvars.copy_context()  # so that log lines of callbacks name the client
-        self._max_messages_s = hub.config.api.max_requests_s
-        note_replaced = partial(hub.counts.velocities_replaced.update, (client.kind,))
-        self._operations = OperationQueue[Any](program, note_replaced, self._max_messages_s, hub.budget["operations"])
+        self._max_messages_s = max_messages_s
+        note_replaced = partial(replaced.update, (client.kind,))
+        self._operations = OperationQueue[Any](program, note_replaced, self._max_messages_s, host.share("operations"))
         self._progress = asyncio.Event()  # set when an operation was executed
         self._is_ended = False
         self._is_work_due = self._is_send_due = False  # whether a callback is scheduled
@@ -168,7 +175,7 @@ class ClientSocket:
             return
         operations, queue, turns = self._operations, self._queue, self._turns
         self._is_send_due = True  # the answers are sent together, at the end
-        self._gates.hold()
+        self._host.hold_writes()
         try:
             while operations.waiting and not self._is_work_due:
                 if is_admitted or turns.share.is_free(is_flooding=operations.is_flooding):
@@ -191,7 +198,7 @@ class ClientSocket:
         except Exception as error:  # noqa: BLE001 - raised in the client's task group
             self._fail(error)
         finally:
-            self._gates.write()
+            self._host.write_held()
         self._send()
 
     async def _work_with_room(self) -> None:

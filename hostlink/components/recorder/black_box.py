@@ -18,15 +18,16 @@ from hostlink.components.recorder.channel import Channel, note_newest
 from hostlink.components.recorder.drives import LastCommand
 from hostlink.components.recorder.folder import MEGABYTE, Folder
 from hostlink.components.recorder.incident import Incident, IncidentRules, OutOfTime, write_incident
-from hostlink.components.recorder.owner import FolderOwner, FolderTaken
 from hostlink.components.recorder.recorder import Recorder, TopicSelection
 from hostlink.components.recorder.ring import RingMemory, Rings
 from hostlink.components.recorder.salvage import ABOUT, CLOSED, About, Pending, clear_old, pending_name, salvage
 from hostlink.components.recorder.salvage import MAX_PENDING_CHANNELS as MAX_FACT_CHANNELS
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.config import BlackBoxConfig
+from hostlink.core.host import Host
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.runtime import remains
 from hostlink.core.runtime.detached import DetachedThread, start_python
+from hostlink.core.runtime.folders import FolderOwner, FolderTaken
 from hostlink.errors import RecordingBusy, RecordingFailed
 
 log = structlog.get_logger()
@@ -47,13 +48,20 @@ class BlackBox:
     The memory survives the process if there is a tmpfs. salvage.py then writes what a killed daemon could not write.
     """
 
-    def __init__(self, hub: Hub, folder: Path, owner: FolderOwner | None = None) -> None:
+    def __init__(
+        self,
+        host: Host,
+        config: BlackBoxConfig,
+        folder: Path,
+        *,
+        min_free_disk_mb: float,
+        owner: FolderOwner | None = None,
+    ) -> None:
         """`folder` is that of the recordings, with its owner; incidents have a subfolder."""
-        config = hub.config.black_box
         self.folder = Folder(
             folder / "incidents",
             max_disk_mb=config.max_disk_mb,
-            min_free_disk_mb=hub.config.recording.min_free_disk_mb,
+            min_free_disk_mb=min_free_disk_mb,
             owner=owner,
         )
         self.saved = self.missed = 0  # numbers of incidents
@@ -63,7 +71,7 @@ class BlackBox:
         self._memory = RingMemory(max_bytes, purpose=self._purpose if config.enabled else None)
         self.rings = Rings(self._memory, keep_s=config.before_s + config.after_s)
         self._add = self.rings.add
-        self._hub, self._config = hub, config
+        self._host, self._config = host, config
         self._now_s = asyncio.get_running_loop().time  # lines of other threads are kept, too
         self._rules = IncidentRules()
         self._channels: defaultdict[str, dict[Channel, None]] = defaultdict(dict)  # by robot
@@ -72,8 +80,8 @@ class BlackBox:
         self._turn = asyncio.Lock()  # one file at a time, because the thread slows the loop
         self._thread = DetachedThread("incident")
         self._ends_at_s: float | None = None  # end of writing when the daemon ends
-        self._recorder = Recorder(hub, self, TopicSelection(is_local=True))
-        self._observer = hub.join_daemon()
+        self._recorder = Recorder(host, self, TopicSelection(is_local=True))
+        self._observer = host.join_as_observer()
 
     def start(self, on_last_commands: Callable[[list[LastCommand]], None] = lambda _: None) -> None:
         """Keep everything from now on, and save the incidents of an earlier process.
@@ -87,7 +95,7 @@ class BlackBox:
                 log.warning("black_box.volatile", reason=f"no room on {remains.PLACE}")
             self._recorder.start()
             self._observer.observe(self._receive)
-        self._hub.spawn(self._salvage(on_last_commands), name="incidents of an earlier process")
+        self._host.spawn(self._salvage(on_last_commands), name="incidents of an earlier process")
 
     async def aclose(self) -> None:
         """Stop recording, and save pending incidents without the rest of their half minute.
@@ -133,7 +141,7 @@ class BlackBox:
             RecordingBusy: the black box is off, too many incidents are pending, or another daemon owns the folder.
             RecordingFailed: the disk refuses.
         """
-        found = self._hub.robots.find_here(robot.strip("/"))
+        found = self._host.robot(robot, is_here=True)
         if not self._config.enabled:
             raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
         incident = Incident(found.name, "requested", reason[:MAX_DETAIL], time.time_ns(), self._now_s())
@@ -154,8 +162,7 @@ class BlackBox:
         if event.kind is EventKind.FORGOTTEN:
             self._rules.forget(event.robot)
             self._forget(event.robot)
-        robot = self._hub.robots.get_here(event.robot)
-        if robot is not None and robot.is_played:  # nothing happens to a recording
+        if self._host.is_played(event.robot):  # nothing happens to a recording
             return
         incident = self._rules.observe(event)
         if incident is not None and not self._begin(incident):
@@ -163,7 +170,7 @@ class BlackBox:
 
     def _forget(self, robot: str) -> None:
         """Drop the data of a removed robot, unless one of its incidents is pending."""
-        if all(each.robot != robot for each in self._unsaved) and not self._hub.robots.has(robot):
+        if all(each.robot != robot for each in self._unsaved) and not self._host.has_robot(robot):
             self.rings.forget(robot)
             self._channels.pop(robot, None)
 
@@ -175,7 +182,7 @@ class BlackBox:
         channels = itertools.islice(reversed(self._channels.get(incident.robot, {})), MAX_FACT_CHANNELS)
         self._memory.put_fact(name, Pending(incident, list(channels)))
         log.warning("incident.begun", robot=incident.robot, cause=incident.cause, detail=incident.detail[:MAX_DETAIL])
-        self._hub.spawn(self._save_later(incident), name=f"incident of {incident.robot}")
+        self._host.spawn(self._save_later(incident), name=f"incident of {incident.robot}")
         return True
 
     async def _save_later(self, incident: Incident) -> None:

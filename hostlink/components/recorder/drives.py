@@ -12,11 +12,11 @@ from typing import NamedTuple
 import msgspec
 import structlog
 
-from hostlink.components.recorder.owner import FolderOwner
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.host import Host
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.core.runtime.detached import DetachedThread
+from hostlink.core.runtime.folders import FolderOwner
 from hostlink.core.runtime.whole_file import replace_file
 
 PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is released and pressed again
@@ -245,13 +245,13 @@ END_S = 1.0  # to write the last drives
 class DriveLog:
     """Log of all drives, from the events of commands."""
 
-    def __init__(self, hub: Hub, folder: Path, *, is_kept: bool, owner: FolderOwner | None = None) -> None:
+    def __init__(self, host: Host, folder: Path, *, is_kept: bool, owner: FolderOwner | None = None) -> None:
         """`folder` is that of the recordings, with its owner. `is_kept`: also write a file there."""
         self.lost = 0  # drives that could not be written
-        self._hub, self._folder, self._is_kept, self._owner = hub, folder, is_kept, owner
+        self._host, self._folder, self._is_kept, self._owner = host, folder, is_kept, owner
         self._drives = DriveFinder()
         self._recent: deque[Drive] = deque(maxlen=MAX_RECENT)
-        self._observer = hub.join_daemon()
+        self._observer = host.join_as_observer()
         self._is_open = asyncio.Event()  # set while a drive lasts, and shortly afterwards
         self._has_changed = asyncio.Event()
         self._turn = asyncio.Lock()  # for access to the file
@@ -263,8 +263,8 @@ class DriveLog:
         if self._is_kept:
             self._recent.extend(await asyncio.to_thread(read_drives, self._folder))
         self._observer.observe(self._receive)
-        self._hub.spawn(self._write_changes(), name="drives that change")
-        self._hub.spawn(self._finish(), name="drives")
+        self._host.spawn(self._write_changes(), name="drives that change")
+        self._host.spawn(self._finish(), name="drives")
 
     def correct(self, commands: list[LastCommand]) -> None:
         """Set the ends of drives that an earlier daemon did not end. The file has them already."""

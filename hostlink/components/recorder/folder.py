@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from hostlink.components.recorder.owner import FolderOwner
+from hostlink.core.runtime.folders import FolderOwner, state_folder
 from hostlink.errors import BadRequest
 
 # -- disk budget ------------------------------------------------------------------------------------------------------
@@ -48,10 +48,8 @@ NAME_PATTERN = r"^[A-Za-z0-9]([A-Za-z0-9_+-]|\.(?!\.)){0,99}$"  # cannot leave t
 
 
 def default_folder() -> Path:
-    """Return the default folder: below systemd's state directory for a service, otherwise below the user's of XDG."""
-    of_service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
-    return (Path(of_service) if of_service else state / "hostlink") / "recordings"
+    """Return the default folder of recordings."""
+    return state_folder() / "recordings"
 
 
 def file_stamp(stamp_ns: int) -> str:

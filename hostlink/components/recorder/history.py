@@ -9,7 +9,7 @@ import msgspec
 
 from hostlink.components.recorder.channel import DEVICE, EVENT, NS_PER_S, VELOCITY, Channel, json_of
 from hostlink.components.recorder.ring import Entry
-from hostlink.core.hub.robot_events import EventKind
+from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.kinematics import Pose, frame_of, placed
 from hostlink.core.robot.odometry import OdometryEstimator
 from hostlink.core.robot.readings import READERS

@@ -11,7 +11,7 @@ from hostlink.components.recorder.channel import NS_PER_S, Channel
 from hostlink.components.recorder.folder import Folder, StoredFile, file_stamp
 from hostlink.components.recorder.reader import McapReader
 from hostlink.components.recorder.ring import Entry
-from hostlink.core.hub.robot_events import HOST_AWAY, LEASE_ENDED, ORDERLY, EventKind, RobotEvent
+from hostlink.core.robot.events import HOST_AWAY, LEASE_ENDED, ORDERLY, EventKind, RobotEvent
 from hostlink.core.robot.velocity import ZERO
 from hostlink.errors import RecordingFailed
 

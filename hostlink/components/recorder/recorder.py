@@ -3,7 +3,7 @@
 import dataclasses
 import fnmatch
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from operator import attrgetter
 from typing import Any
 
@@ -21,12 +21,7 @@ from hostlink.components.recorder.channel import (
     as_text,
     ros_channel,
 )
-from hostlink.core.hub.graph_view import OBSERVERS, GraphTopic
-from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.message import Message
-from hostlink.core.hub.node import Node
-from hostlink.core.hub.robot_events import RobotEvent
-from hostlink.core.hub.subscription import Subscription
+from hostlink.core.host import OBSERVERS, GraphTopic, Host, Message, RobotEvent, Subscription
 from hostlink.core.mirror.mirror import Mirror
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.core.runtime import logs
@@ -60,9 +55,9 @@ class TopicSelection:
 class Recorder:
     """Recorder of the selected topics and events, from `start` to `stop`."""
 
-    def __init__(self, hub: Hub, sink: Sink, selection: TopicSelection) -> None:
-        self._hub, self._sink, self._selection = hub, sink, selection
-        self._participant = hub.join_daemon(group=GROUP)
+    def __init__(self, host: Host, sink: Sink, selection: TopicSelection) -> None:
+        self._host, self._sink, self._selection = host, sink, selection
+        self._participant = host.join_as_observer(group=GROUP)
         self._subscriptions = Mirror[str, GraphTopic, Subscription](
             self._subscribe, self._fail, retry_s=RETRY_S, is_same=_is_same
         )
@@ -89,8 +84,8 @@ class Recorder:
 
     def note_parameters(self, stamp_ns: int) -> None:
         """Record the parameters if they have changed."""
-        if self._parameters != self._hub.parameters:
-            self._parameters = dict(self._hub.parameters)
+        if self._parameters != self._host.parameters:
+            self._parameters = dict(self._host.parameters)
             self._put_json(PARAMETERS, stamp_ns, self._parameters, "")
 
     def _follow_graph(self) -> None:
@@ -108,52 +103,36 @@ class Recorder:
             self._subscriptions.put(name, topic if topic is not None and self._is_wanted(topic) else None)
 
     def _is_wanted(self, topic: GraphTopic) -> bool:
-        if not topic.type_name or (self._selection.is_local and (topic.is_derived or self._is_remote(topic.name))):
+        if not topic.type_name or (self._selection.is_local and topic.is_derived):
             return False
-        return self._selection.has(topic.name, self._robot_of(topic.name))
+        source = self._host.topic_source(topic.name)
+        return not (self._selection.is_local and source.is_elsewhere) and self._selection.has(topic.name, source.robot)
 
     def _subscribe(self, _: str, topic: GraphTopic) -> Subscription:
-        robot = self._robot_of(topic.name)
+        source = self._host.topic_source(topic.name)
         channel = ros_channel(
             topic.name,
             topic.type_name,
             topic.type,
             is_latched=topic.is_latched,
-            robot=robot,
-            origin=self._origin_of(topic),
+            robot=source.robot,
+            origin=VELOCITY
+            if topic.is_velocity
+            else DEVICE
+            if source.is_device
+            else HOSTLINK
+            if topic.is_derived
+            else "",
         )
         self._sink.announce(channel)
         return self._participant.subscribe(
-            topic.name, _Track(self._sink, channel, robot).receive, type_name=topic.type_name
+            topic.name, _Track(self._sink, channel, source.robot).receive, type_name=topic.type_name
         )
 
     def _fail(self, topic: str, error: Exception) -> None:
         """Ignore a WrongType: the type has changed meanwhile, and another change follows."""
         if not isinstance(error, HostlinkError):
-            self._hub.isolation.crashed("participant", error, participant=GROUP, topic=topic)
-
-    def _robot_of(self, topic: str) -> str:
-        """Return the robot of a topic, by its name or by the device that publishes it; empty if none."""
-        first = _first_part(topic)
-        found = self._hub.topics.find_or_none(topic)
-        users: tuple[Hashable, ...] = () if found is None else (*found.publishers, *found.devices)
-        robots = [robot for robot in map(self._hub.robots.of_link, users) if robot is not None]
-        return robots[0].name if len(robots) == 1 else first if self._hub.robots.has(first) else ""
-
-    def _origin_of(self, topic: GraphTopic) -> str:
-        if topic.is_velocity:
-            return VELOCITY
-        found = self._hub.topics.find_or_none(topic.name)
-        is_device = found is not None and found.has_device_publisher
-        return DEVICE if is_device else HOSTLINK if topic.is_derived else ""
-
-    def _is_remote(self, topic: str) -> bool:
-        """Whether the topic is published by other graphs only and used by no device, or belongs to another daemon."""
-        name = _first_part(topic)
-        found = self._hub.topics.find_or_none(topic)
-        if found is not None and found.publishers and not found.devices and all(map(_is_of_graph, found.publishers)):
-            return True
-        return name in self._hub.robots.remote and self._hub.robots.get_here(name) is None
+            self._host.crashed("participant", error, participant=GROUP, topic=topic)
 
     def _receive_event(self, event: RobotEvent) -> None:
         if event.robot and not self._selection.has_robot(event.robot):
@@ -224,8 +203,3 @@ def _shown(velocity: PlanarVelocity) -> dict[str, float]:
     """Return the named fields; several times as fast as `_asdict`, and called for each command."""
     x_m_s, y_m_s, yaw_rad_s = velocity
     return {"linear_x_m_s": x_m_s, "linear_y_m_s": y_m_s, "angular_z_rad_s": yaw_rad_s}
-
-
-def _is_of_graph(key: Hashable) -> bool:
-    """Whether the key represents another graph."""
-    return isinstance(key, Node) and bool(key.group)

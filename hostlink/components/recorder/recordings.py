@@ -20,11 +20,11 @@ from hostlink.components.recorder.drives import DriveLog
 from hostlink.components.recorder.folder import MEGABYTE, Folder, check_name, default_folder, file_stamp
 from hostlink.components.recorder.mcap_format import MAGIC
 from hostlink.components.recorder.mcap_writer import MAX_CHANNELS, FileThread
-from hostlink.components.recorder.owner import FolderOwner, FolderTaken
 from hostlink.components.recorder.recorder import Recorder, TopicSelection
-from hostlink.core.hub.hub import Hub
+from hostlink.core.config import BlackBoxConfig, RecordingConfig
+from hostlink.core.host import Host
 from hostlink.core.runtime.detached import DetachedThread
-from hostlink.core.runtime.listening import spelled
+from hostlink.core.runtime.folders import FolderOwner, FolderTaken
 from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic, size
 
 log = structlog.get_logger()
@@ -33,7 +33,6 @@ MAX_UNDER_WAY = 8
 FOLDER_INTERVAL_S = 2.0  # of the check of the folder
 DISK_S = 10.0  # longest answer of a disk: one that sleeps needs several seconds
 REMOVED_S = 60.0  # for how long a removed folder is a finding
-FOLDER_PART = "recordings"  # name of the folder among the daemon's parts
 LOOK_INTERVAL_S = 1.0  # of the parameters and the free disk space
 PART = ".upload.part"  # file of an upload that is not complete; no recording has such a name
 
@@ -71,20 +70,19 @@ class Totals(NamedTuple):
 class Recordings:
     """Owner of the folder and of the current recordings."""
 
-    def __init__(self, hub: Hub) -> None:
-        config = hub.config.recording
+    def __init__(self, host: Host, config: RecordingConfig, black_box: BlackBoxConfig, *, api: str = "") -> None:
+        """`api`: the address of the daemon's API, for other daemons that want the folder."""
         path = default_folder() if config.folder is None else config.folder
-        api = hub.config.api
-        name = f"the daemon with process id {os.getpid()} on {socket.gethostname()}, API {spelled(api.host, api.port)}"
-        self._owner = FolderOwner(path, name)
-        disk = {"max_disk_mb": config.max_disk_mb, "min_free_disk_mb": config.min_free_disk_mb}
-        self.folder = Folder(path, **disk, owner=self._owner)
-        self.black_box = BlackBox(hub, path, self._owner)
-        self.drives = DriveLog(hub, path, is_kept=config.drives, owner=self._owner)
+        owner = f"the daemon with process id {os.getpid()} on {socket.gethostname()}" + (f", API {api}" if api else "")
+        self._owner = FolderOwner(path, owner)
+        free_mb = config.min_free_disk_mb
+        self.folder = Folder(path, max_disk_mb=config.max_disk_mb, min_free_disk_mb=free_mb, owner=self._owner)
+        self.black_box = BlackBox(host, black_box, path, min_free_disk_mb=free_mb, owner=self._owner)
+        self.drives = DriveLog(host, path, is_kept=config.drives, owner=self._owner)
         self.removed = 0  # old recordings removed for the budget
         self.failed = 0  # recordings that ended by a failure
         self.changes = 0  # changes of the folder: a recording ended, or files were removed
-        self._hub, self._config = hub, config
+        self._host, self._config, self._has_black_box = host, config, black_box.enabled
         self._under_way: dict[str, Recording] = {}
         self._starting: set[str] = set()
         self._is_storing = False  # a client sends a file
@@ -107,7 +105,7 @@ class Recordings:
         Raises:
             UnknownTopic: there is none.
         """
-        self._hub.robots.find(name)
+        self._host.robot(name)
 
     def open_files(self) -> set[Path]:
         """Return the files that are being written."""
@@ -142,12 +140,12 @@ class Recordings:
             thread = await self._open(name, owner, selection)
         finally:
             self._starting.discard(name)
-        recorder = Recorder(self._hub, thread, selection)
+        recorder = Recorder(self._host, thread, selection)
         began_s = asyncio.get_running_loop().time()
         recording = Recording(name, owner, selection, recorder, thread, began_s, time.time_ns())
         self._under_way[name] = recording
         recorder.start()
-        self._hub.spawn(self._look_after(recording), name=f"recording {name}")
+        self._host.spawn(self._look_after(recording), name=f"recording {name}")
         log.info("recording.started", recording=name, file=str(recording.thread.paths[0]), owner=owner)
         return recording
 
@@ -249,15 +247,18 @@ class Recordings:
         found = await self._folder_finding()
         await self.drives.start()
         self.black_box.start(self.drives.correct)
-        if self._config.drives or self._hub.config.black_box.enabled:
-            self._hub.diagnoses.observe_own(FOLDER_PART, *found)
-            self._hub.spawn(self._watch_folder(), name="folder of recordings")
+        if self._config.drives or self._has_black_box:
+            self._report(*found)
+            self._host.spawn(self._watch_folder(), name="folder of recordings")
 
     async def _watch_folder(self) -> None:
         """Tell while nothing can be saved, and make a removed folder again."""
         while True:
             await asyncio.sleep(FOLDER_INTERVAL_S)
-            self._hub.diagnoses.observe_own(FOLDER_PART, *await self._folder_finding())
+            self._report(*await self._folder_finding())
+
+    def _report(self, code: str, detail: str) -> None:
+        self._host.report(detail, code=code)
 
     async def _folder_finding(self) -> tuple[str, str]:
         """Return code and detail of the finding about the folder; empty if nothing is wrong."""

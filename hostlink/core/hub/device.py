@@ -31,6 +31,7 @@ from hostlink.core.robot.model import (
     Suggestion,
     announced,
     is_velocity,
+    motion_of,
     name_of,
     suggest,
     suggestion,
@@ -584,7 +585,8 @@ class Device:
             spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
             commands = commands_of((topic,), RobotConfig())
             return Drivable(name=shown, commands=commands, gate=spatial, gates=self._hub.gates)
-        gate = VelocityGate(robot.gate.admission, limits_of(robot.config, robot.topics.commands), ZERO)
+        limits = limits_of(robot.config, robot.topics.commands)
+        gate = VelocityGate(robot.gate.admission, limits, ZERO, motion_of(info.name))
         commands = commands_of((topic,), robot.config, frame_id=robot.frames.base)
         return Drivable(name=robot.name, commands=commands, gate=gate, gates=self._hub.gates)
 

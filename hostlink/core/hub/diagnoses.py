@@ -16,12 +16,13 @@ from hostlink.core.diagnosis.finding import Finding, finding, words
 from hostlink.core.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.core.diagnosis.rules import diagnose
 from hostlink.core.hub.isolation import Isolation
-from hostlink.core.hub.robot_events import EventKind, RobotEvents
+from hostlink.core.hub.robot_events import RobotEvents
 from hostlink.core.link.capture_buffer import Captured
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import LinkEnd
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.model import Endpoint
 from hostlink.core.robot.names import is_played
 from hostlink.core.runtime.host_pauses import HostPauses

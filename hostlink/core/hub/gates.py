@@ -18,7 +18,15 @@ from hostlink.core.hub.isolation import Isolation
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.node import address_of
 from hostlink.core.hub.providers import Providers
-from hostlink.core.hub.robot_events import (
+from hostlink.core.hub.robot_events import RobotEvents
+from hostlink.core.hub.stall_watch import BEAT_S, StallWatch
+from hostlink.core.hub.topic import Topic
+from hostlink.core.link.link import Link
+from hostlink.core.link.serving import LinkEnd
+from hostlink.core.protocol.endpoint import DeviceEndpoint
+from hostlink.core.robot.admission import LEASE_S, Admission, Command, named
+from hostlink.core.robot.command_types import CommandType, Published, decode_twist
+from hostlink.core.robot.events import (
     HOST_AWAY,
     LEASE_ENDED,
     LET_GO,
@@ -27,15 +35,7 @@ from hostlink.core.hub.robot_events import (
     OWNER_LEFT,
     WAS_STOPPED,
     EventKind,
-    RobotEvents,
 )
-from hostlink.core.hub.stall_watch import BEAT_S, StallWatch
-from hostlink.core.hub.topic import Topic
-from hostlink.core.link.link import Link
-from hostlink.core.link.serving import LinkEnd
-from hostlink.core.protocol.endpoint import DeviceEndpoint
-from hostlink.core.robot.admission import LEASE_S, Admission, Command, named
-from hostlink.core.robot.command_types import CommandType, Published, decode_twist
 from hostlink.core.robot.model import STOP_SERVICE_TYPES
 from hostlink.core.robot.velocity import ZERO, AnyVelocity, PlanarVelocity, Twist
 from hostlink.core.robot.velocity_gate import EndedLease, V, VelocityGate

@@ -52,6 +52,11 @@ def is_derived(topic: Topic) -> bool:
     return bool(topic.publishers) and all(isinstance(key, Node) and key.is_daemon for key in topic.publishers)
 
 
+def is_imported(topic: Topic) -> bool:
+    """Whether only other graphs publish a topic."""
+    return bool(topic.publishers) and all(isinstance(key, Node) and key.group for key in topic.publishers)
+
+
 def graph_topic(topic: Topic | None, group: str) -> GraphTopic | None:
     """Return the topic as the group sees it; None if there is none, or none with a user outside of the group."""
     if topic is None:

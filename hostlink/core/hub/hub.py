@@ -18,11 +18,11 @@ from hostlink.core.hub.gates import Gates, Guard
 from hostlink.core.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.core.hub.graph_view import GraphView
 from hostlink.core.hub.isolation import Isolation
-from hostlink.core.hub.links import Links, addresses_of, commands_by_name
+from hostlink.core.hub.links import Links, commands_by_name
 from hostlink.core.hub.message import PROGRAM_PRIORITY
 from hostlink.core.hub.node import Node, Role
 from hostlink.core.hub.participant import Participant
-from hostlink.core.hub.robot import limits_of
+from hostlink.core.hub.reloader import Read, Reloader
 from hostlink.core.hub.robot_events import RobotEvents
 from hostlink.core.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.core.hub.robots import Robots
@@ -41,11 +41,10 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Counters of listeners, clients and graphs, which write into it."""
+    """Counters of listeners and components, which write into it."""
 
     refused: Counter[str] = field(default_factory=Counter)  # refused and evicted connections, by cause
     datagrams_dropped: Counter[str] = field(default_factory=Counter)  # UDP datagrams in both directions, by cause
-    velocities_replaced: Counter[str] = field(default_factory=Counter)  # by newer ones, by kind of client
     components: dict[str, Callable[[], Mapping[str, int]]] = field(default_factory=dict)  # counters of each component
 
 
@@ -77,11 +76,13 @@ class Hub:
         *,
         reraises: bool = False,
         guard: Guard | None = None,
+        read: Read | None = None,
         slept_s: Callable[[], float] = lambda: 0.0,
         computed_s: Callable[[], float] = loop_time_s,
     ) -> None:
         """Connect nothing yet.
 
+        `read` reads the settings again, as a new start would; None if the daemon has no file.
         `slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out.
         `computed_s` returns the CPU time of the event loop's thread, without the time for which it waited for a core.
         """
@@ -110,6 +111,7 @@ class Hub:
         self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
         self.rosout = Rosout(self.join_daemon())
         self.links = Links(self)
+        self.reloader = Reloader(self, read)
         self._tasks: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:
@@ -203,17 +205,6 @@ class Hub:
         """Note that a robot of this name connected, disconnected or was forgotten."""
         self.changes.note(GraphKind.ROBOT, name)
         self._lock_services.update(name)
-
-
-def places_of(config: Config) -> Places:
-    """Return the configured addresses of robots, and check their limits. With thousands of robots, call it in a thread.
-
-    Raises:
-        ConfigError: limits of a robot cannot be kept.
-    """
-    for robot in config.robots.values():
-        limits_of(robot)
-    return Places(addresses_of(config), {name: robot.devices for name, robot in config.robots.items() if robot.devices})
 
 
 async def _log_what_is_missing() -> None:

@@ -16,12 +16,12 @@ from hostlink.core.hub.device import Device, ShownNames
 from hostlink.core.hub.device_calls import DeviceCalls
 from hostlink.core.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.core.hub.robot import LocalRobot, command_settings
-from hostlink.core.hub.robot_events import EventKind
 from hostlink.core.link.capture_buffer import CaptureRoom
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import Authenticate, LinkEnd, trust
 from hostlink.core.protocol import events
 from hostlink.core.protocol.session import DeviceProtocol
+from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.model import CommandSettings, RobotTopicNames, find_robot, misfit, namespace_of, unannounced
 from hostlink.core.robot.names import SURE_S, UNNAMED, Accepted, Directory, Origin, Places, Remembered, Undecided
 from hostlink.core.robot.parts import Membership

@@ -14,13 +14,13 @@ from hostlink.core.hub.graph_view import Graph
 from hostlink.core.hub.message import PROGRAM_PRIORITY
 from hostlink.core.hub.node import Node, Role
 from hostlink.core.hub.robot import AnyRobot
-from hostlink.core.hub.robot_events import RobotEvent
 from hostlink.core.hub.services import Answer, Notify, Provider
 from hostlink.core.hub.subscription import Subscription
 from hostlink.core.hub.topic import Receive, Topic
 from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.messages.message_type import MessageType
 from hostlink.core.robot.admission import Command
+from hostlink.core.robot.events import RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.cancellation import expire, within
 from hostlink.errors import BadRequest, DeviceGone, NoRole, ServiceFailed, UnknownTopic, WrongType

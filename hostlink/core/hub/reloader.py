@@ -6,21 +6,36 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import structlog
 
 from hostlink.core.config import Config, RobotConfig
-from hostlink.core.hub.hub import Hub, places_of
-from hostlink.core.hub.robot import LIMITS
+from hostlink.core.hub.links import addresses_of
+from hostlink.core.hub.robot import LIMITS, limits_of
 from hostlink.core.robot.kinematics import SETTINGS
+from hostlink.core.robot.names import Places
 from hostlink.core.runtime.detached import DetachedThread
 from hostlink.errors import HostlinkError, ReloadRefused
+
+if TYPE_CHECKING:
+    from hostlink.core.hub.hub import Hub
 
 log = structlog.get_logger()
 
 ROBOT = ("address", "devices", "command_device", "kinematics", "wheel_radius_m", *SETTINGS, *LIMITS)
 API = ("tokens", "origins")
+
+
+def places_of(config: Config) -> Places:
+    """Return the configured addresses of robots, and check their limits. With thousands of robots, call it in a thread.
+
+    Raises:
+        ConfigError: limits of a robot cannot be kept.
+    """
+    for robot in config.robots.values():
+        limits_of(robot)
+    return Places(addresses_of(config), {name: robot.devices for name, robot in config.robots.items() if robot.devices})
 
 
 class Change(NamedTuple):
@@ -98,7 +113,7 @@ class Reloader:
     `read` returns the settings as a new start would have them; None if the daemon has no file.
     """
 
-    def __init__(self, hub: Hub, read: Read | None = None, *, read_timeout_s: float = READ_TIMEOUT_S) -> None:
+    def __init__(self, hub: "Hub", read: Read | None = None, *, read_timeout_s: float = READ_TIMEOUT_S) -> None:
         self.prepares: list[Prepare] = []  # checks of the parts outside of the hub
         self._hub, self._read, self._read_timeout_s = hub, read, read_timeout_s
         self._thread = DetachedThread("reload")

@@ -78,6 +78,7 @@ class RemoteRobot(AnyRobot):
 
     link: RemoteLink | None = None
     odometry: RemoteOdometry
+    host: str
 
     def __init__(
         self,

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 from abc import abstractmethod
-from collections.abc import Awaitable, Callable, Hashable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Sequence, Set
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +15,15 @@ from hostlink.core.diagnosis.motion_monitor import RECENT_S, Speed
 from hostlink.core.hub.gates import Drivable, VelocityTarget
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.node import address_of
-from hostlink.core.hub.robot_events import EventKind
 from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import Command
 from hostlink.core.robot.command_types import (
     ACKERMANN_TYPES,
     JOINT_STATE_TYPE,
+    JOY_TYPE,
     NUMBER_TYPES,
+    TEXT_TYPES,
+    VECTOR_TYPE,
     AckermannCommand,
     CommandType,
     JoyCommand,
@@ -34,6 +36,7 @@ from hostlink.core.robot.command_types import (
     WordCommand,
     Words,
 )
+from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.feedback import Feedback, FeedbackSettings
 from hostlink.core.robot.kinematics import SETTINGS as DIMENSIONS
 from hostlink.core.robot.kinematics import WHEELS_NEED, AckermannDrive, Drive, drive_of
@@ -124,7 +127,20 @@ def limits_of(config: RobotConfig, commands: tuple[TopicType, ...] = ()) -> Limi
     Raises:
         ConfigError: a limit or a dimension of the drive is invalid.
     """
-    return Limits(**{name: getattr(config, name) for name in LIMITS}, drive=drive_in(config, commands))
+    drive, lacks = drive_in(config, commands), _components_without_field(config, {each.type_name for each in commands})
+    return Limits(**{name: getattr(config, name) for name in LIMITS}, drive=drive.without(lacks) if lacks else drive)
+
+
+def _components_without_field(config: RobotConfig, types: Set[str]) -> list[str]:
+    """Return the components of a velocity that a robot's command topics of these types cannot express."""
+    if config.joy is not None and JOY_TYPE in types:
+        axes = {"linear.y": config.joy.y_axis, "angular.z": config.joy.yaw_axis}
+        return [name for name, axis in axes.items() if axis is None]
+    if config.vector is not None and VECTOR_TYPE in types:
+        fields = {"linear.x": "x", "linear.y": "y", "angular.z": "yaw"}
+        return [name for name, each in fields.items() if each not in config.vector.fields]
+    is_word = config.words is not None and not types.isdisjoint((*TEXT_TYPES, *NUMBER_TYPES))
+    return ["linear.y"] if is_word else []
 
 
 def frames_of(name: str, config: RobotConfig) -> FrameIds:

@@ -29,12 +29,12 @@ from hostlink.core.hub.robot import (
     of_namesake,
     shown_reason,
 )
-from hostlink.core.hub.robot_events import OTHER_TOPICS, EventKind
 from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import EPOCH_BITS, Admission, EarlierCommands
 from hostlink.core.robot.command_types import CommandType, TopicType, TwistCommand
+from hostlink.core.robot.events import OTHER_TOPICS, EventKind
 from hostlink.core.robot.feedback import Feedback, FeedbackSettings
-from hostlink.core.robot.model import CommandKind, RobotTopicNames
+from hostlink.core.robot.model import CommandKind, RobotTopicNames, motion_of
 from hostlink.core.robot.odometry import OdometryEstimator
 from hostlink.core.robot.parts import Membership, Parts, parts_of
 from hostlink.core.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
@@ -614,7 +614,7 @@ class Robots:
             gates=self._gates,
             on_lock=self._note_lock,
             commands=commands,
-            gate=VelocityGate(admission, limits_of(config, topics.commands), ZERO),
+            gate=VelocityGate(admission, limits_of(config, topics.commands), ZERO, motion_of(topics.commands[0].name)),
             config=config,
             odometry=OdometryEstimator(
                 continues=config.odometry_after_restart == "continue", correction=correction_of(config)

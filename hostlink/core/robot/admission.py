@@ -5,7 +5,8 @@ robot's `Admission` answers with a `Decision`. No other module decides by ages, 
 
 A *source* of commands is a program, a REST owner, a publisher of another graph. It is in one of four states. A source
 *lets go* of a robot by a zero that is not late, by a lease without a command, or by leaving. A source that commands
-another velocity topic of the robot does not let go by a zero to one of them.
+another velocity topic of the robot does not let go by a zero to one of them. Velocity topics command one *motion* if
+they are ways to command the same thing, as a Twist and a TwistStamped of one base; else each is a motion of its own.
 
 | state    | event                                                     | next     | decision              |
 |----------|-----------------------------------------------------------|----------|-----------------------|
@@ -38,7 +39,7 @@ epoch that is not the current one or is from before the newest stop or pause: th
 | non-zero command that was sent or received a lease ago, or earlier  | refused: late        |
 | non-zero command whose stamp is older than `max_stamp_age_s`        | refused: late        |
 | command while another source holds the robot at a higher priority   | refused: held        |
-| command to a velocity topic that another source of the same priority drives, without `take_over` | refused: held |
+| command of a motion that another source of the same priority drives, without `take_over` | refused: held |
 | zero while another source drives                                    | refused: held        |
 | non-zero command of one more source than MAX_SOURCES                | refused: crowded     |
 
@@ -232,6 +233,12 @@ class Lease(NamedTuple):
     source: Hashable
     priority: int
     deadline_s: float
+    motion: str = ""  # topics of one motion are ways to command the same thing; empty: no other topic commands it
+
+
+def _is_one(driven: Hashable, lease: Lease, topic: Hashable, motion: str) -> bool:
+    """Whether the lease of a topic drives what the other topic commands."""
+    return driven == topic or (motion != "" and lease.motion == motion)
 
 
 ADMITTED = Decision()
@@ -322,11 +329,14 @@ class Admission:
 
     # -- commands -----------------------------------------------------------------------------------------------------
 
-    def decide(self, command: Command[Any], now_s: float, *, topic: Hashable = "") -> Decision:
-        """Decide about a command for one velocity topic of the robot, and remember what follows from it."""
+    def decide(self, command: Command[Any], now_s: float, *, topic: Hashable = "", motion: str = "") -> Decision:
+        """Decide about a command for one velocity topic of the robot, and remember what follows from it.
+
+        Topics of one `motion` are ways to command the same thing; empty: no other topic commands it.
+        """
         velocity, owner = command.velocity, command.source
         if velocity.is_zero and command.is_planar:
-            return self._decide_zero(command, now_s, topic)
+            return self._decide_zero(command, now_s, topic, motion)
         source = self._source(command, now_s, topic)
         if source is None:
             self._note_unrecorded(now_s, now_s)
@@ -372,7 +382,7 @@ class Admission:
         if not source.is_armed:
             return self._refuse_disarmed()
         if len(self._sources) > 1:
-            held = self._refuse_held(command, source, topic, now_s)
+            held = self._refuse_held(command, source, topic, motion, now_s)
             if held is not None:
                 return held
         if source.taken_by is not None:
@@ -380,12 +390,12 @@ class Admission:
             return self._refuse(RefusalKind.DISARMED, reason, by=named("a take-over", source.taken_by))
         source.priority, source.held_until_s = command.priority, now_s - max(waited_s, 0.0) + self.lease_s
         if len(self._sources) > 1:
-            self._overrule(owner, command.priority, topic, now_s)
-        self._drivers[topic] = Lease(owner, command.priority, source.held_until_s)
+            self._overrule(owner, command.priority, topic, motion, now_s)
+        self._drivers[topic] = Lease(owner, command.priority, source.held_until_s, motion)
         source.note_admitted(command, now_s, topic)
         return ADMITTED
 
-    def _decide_zero(self, command: Command[Any], now_s: float, topic: Hashable) -> Decision:
+    def _decide_zero(self, command: Command[Any], now_s: float, topic: Hashable, motion: str) -> Decision:
         """A zero is admitted at any age, but one that may be from before an interruption arms nothing."""
         owner = command.source
         source = self._sources.get(owner)
@@ -404,8 +414,8 @@ class Admission:
                     source.has_lost_device, source.resumed_s = False, float("-inf")
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, self.missing or "its device is not connected")
-        driver = self.driver(topic, now_s)
-        if driver is not None and driver.source != owner:
+        driver = self._rival(owner, topic, motion, now_s)
+        if driver is not None:
             name = shlex.quote(self.robot)
             reason = (
                 f"{driver.source} drives it, and a zero of another source does not stop it; "
@@ -421,20 +431,20 @@ class Admission:
             del self._drivers[topic]
         source.held_until_s = self._driven_until_s(owner)
 
-    def _overrule(self, owner: Hashable, priority: int, topic: Hashable, now_s: float) -> None:
+    def _overrule(self, owner: Hashable, priority: int, topic: Hashable, motion: str, now_s: float) -> None:
         """End the leases that a source takes over, and their holds.
 
-        They are those of a lower priority, that of its topic, and all others of the source that drove the topic at the
-        same priority: that one is taken over.
+        They are those of a lower priority, those of its motion, and all others of the source that drove the motion at
+        the same priority: that one is taken over.
         """
-        before = self._drivers.get(topic)
-        if before is not None and before.source != owner and before.priority == priority and now_s < before.deadline_s:
+        before = self._rival(owner, topic, motion, now_s)
+        if before is not None and before.priority == priority:
             self._sources[before.source].taken_by = str(owner)
             self.end_drives(before.source)
         self._drivers = {
             driven: lease
             for driven, lease in self._drivers.items()
-            if lease.source == owner or (driven != topic and lease.priority >= priority)
+            if lease.source == owner or not (_is_one(driven, lease, topic, motion) or lease.priority < priority)
         }
         for other, source in self._sources.items():
             if other != owner:
@@ -492,13 +502,22 @@ class Admission:
         )
         return max(others, key=lambda each: each[:2], default=(0, 0.0, None))[2]
 
-    def _refuse_held(self, command: Command[Any], source: _Source, topic: Hashable, now_s: float) -> Decision | None:
-        """Refuse a command because another source holds the robot, or drives the topic; None: no other does."""
+    def _rival(self, owner: Hashable, topic: Hashable, motion: str, now_s: float) -> Lease | None:
+        """Return the lease of another source for the same motion; None if there is none."""
+        for driven, lease in self._drivers.items():
+            if lease.source != owner and now_s < lease.deadline_s and _is_one(driven, lease, topic, motion):
+                return lease
+        return None
+
+    def _refuse_held(
+        self, command: Command[Any], source: _Source, topic: Hashable, motion: str, now_s: float
+    ) -> Decision | None:
+        """Refuse a command because another source holds the robot, or drives the motion; None: no other does."""
         holder = self._other_holder(command.source, now_s)
         if holder is not None and command.priority < self._sources[holder].priority:
             return self._refuse_less_important(holder)
-        driver = self.driver(topic, now_s)
-        if driver is None or driver.source == command.source or driver.priority < command.priority:
+        driver = self._rival(command.source, topic, motion, now_s)
+        if driver is None or driver.priority < command.priority:
             return None
         if driver.priority > command.priority:
             return self._refuse_less_important(driver.source)

@@ -50,15 +50,16 @@ _MOTION: Final = re.compile(
 )
 _SUSPECT: Final = re.compile(
     r"vel(ocity|ocities)?$|^vel|^cmd|cmds?$|command|control|(?<!e)mot(ion|or)|mtr|wheel|speed|spd|pwm|dut(y|ies)|steer|throttle"
-    r"|thrust|traction|move|mov$|drive|rotat|joy|rpm|(?<![a-z])esc(?![a-z])|^dir$"
-    r"|^(front|rear|back)?_?(left|right|[lr])$|^[fbr][lr]$|^m\d$",  # whole names of motors
+    r"|thrust|traction|move|(?<![a-z])mov|drive|rotat|joy|rpm|(?<![a-z])esc(?![a-z])|^dir$|omega|volt(age)?s?(?![a-z])"
+    r"|^(front|rear|back)?_?(left|right|[lr])$|^[fbr][lr]$|^m\d$|^[uvw]_?(left|right|[lr])$"  # whole names
+    r"|vitesse|moteur|^(gauche|droite|avance)|^(izq|der)(uierda|echa)?$|geschwindigkeit|^(links|rechts)$|lenk",
     re.IGNORECASE,
 )
 _SPOKEN: Final = re.compile(r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE)  # texts
 _SERVO: Final = re.compile(
-    r"servo|(?:^|[/_])arm(?![a-z])|joint|gripper|angle|position|actuat|stepper|lift|wing", re.IGNORECASE
+    r"servo|(?:^|[/_])arm(?![a-z])|joint|gripper|claw|angle|position|actuat|stepper|lift|wing", re.IGNORECASE
 )
-_WHEEL: Final = re.compile(r"vel(ocity)?$|motor|wheel|speed|pwm|throttle|rpm", re.IGNORECASE)
+_WHEEL: Final = re.compile(r"vel(ocity)?$|motor|wheel|speed|pwm|throttle|rpm|steer", re.IGNORECASE)
 _TRIGGER: Final = re.compile(
     r"open|close|launch|fire|shoot|release|drop|grip|kick|throw|pick|forward|backward|^(back|left|right|go|turn)",
     re.IGNORECASE,
@@ -72,7 +73,10 @@ _COMMON: Final = frozenset({
 })  # fmt: skip
 _SHORTEST_WORD: Final = 3
 _TRIGGERS: Final = ("std_msgs/Empty", "std_msgs/Bool")
-_SIDES: Final = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
+_SIDES: Final = (
+    ("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("izquierda", "derecha"), ("izq", "der"),
+    ("gauche", "droite"), ("links", "rechts"), ("l", "r"), ("L", "R"), ("G", "D"),
+)  # fmt: skip
 _NO_WHEEL: Final = re.compile(r"mode|steer|rotat|turn|limit|enable", re.IGNORECASE)
 _STEERING: Final = re.compile(r"steer", re.IGNORECASE)
 _THROTTLE: Final = re.compile(r"throttle|speed|motor|pwm|drive|vel", re.IGNORECASE)
@@ -360,6 +364,15 @@ def name_of(command: str, odometry: str = "") -> str:
         words = [word for word in re.split(r"[^A-Za-z0-9]+", leaf_of(command)) if word.lower() not in _COMMON]
         name = "_".join(words) if any(map(_is_telling, words)) else ""
     return re.sub(r"\W", "_", name, flags=re.ASCII)[:LONGEST_NAME]
+
+
+def motion_of(command: str) -> str:
+    """Return what a topic commands. Topics of one motion are ways to command the same thing, as a base.
+
+    They have one namespace, and their names differ only in words such as cmd, vel, drive or stamped.
+    """
+    words = [word for word in re.split(r"[^A-Za-z0-9]+", leaf_of(command)) if word.lower() not in _COMMON]
+    return "/".join(("", *namespace_of(command), "_".join(words)))
 
 
 def _is_telling(word: str) -> bool:

@@ -162,9 +162,9 @@ class VelocityGate(Generic[V]):
     |          |                                                |          | every LOCKED_ZERO_INTERVAL_S           |
     """
 
-    def __init__(self, admission: Admission, limits: Bounds[V], zero: V) -> None:
-        """`admission` is shared by all velocity topics of a robot."""
-        self.admission = admission
+    def __init__(self, admission: Admission, limits: Bounds[V], zero: V, motion: str = "") -> None:
+        """`admission` is shared by all velocity topics of a robot, `motion` by those that command the same thing."""
+        self.admission, self.motion = admission, motion
         self.limits = limits
         self.zero = self.current = zero
         self.is_new_device = False  # it has not been given its first zero
@@ -223,7 +223,7 @@ class VelocityGate(Generic[V]):
         """
         self._expire(now_s)
         velocity = command.velocity
-        decision = self.admission.decide(command, now_s, topic=self)
+        decision = self.admission.decide(command, now_s, topic=self, motion=self.motion)
         if decision.kind is not None:
             raise CommandRefused(
                 self.admission.robot, decision.kind, decision.reason, holder=decision.holder, by=decision.by

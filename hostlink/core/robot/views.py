@@ -83,6 +83,26 @@ class RobotView(TypedDict):
     firmware: str | None
 
 
+class StandstillView(TypedDict):
+    """Motion of a robot after a stop or a lock, by its odometry.
+
+    state: `stopped`, `moving` or `unknown`. speed_m_s, turn_rad_s: newest; null: no odometry arrived since the stop.
+    after_s: time until it was stopped; null unless stopped. reason: why it moves, or why its motion is unknown.
+    """
+
+    state: str
+    speed_m_s: float | None
+    turn_rad_s: float | None
+    after_s: float | None
+    reason: str
+
+
+class StoppedRobotView(RobotView):
+    """One robot after a stop or a lock, and what was measured since."""
+
+    standstill: StandstillView
+
+
 class CommandEndpointView(TypedDict):
     """A topic that commands a motion and is not a robot's, after a stop or a lock of all.
 

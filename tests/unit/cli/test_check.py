@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from hostlink.cli.check import FEWEST, check, describe, fitted
-from hostlink.components.recorder.owner import FolderOwner
 from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.config import (
     ApiConfig,
@@ -22,6 +21,7 @@ from hostlink.core.config import (
     TokenConfig,
     WheelsConfig,
 )
+from hostlink.core.runtime.folders import FolderOwner
 from hostlink.errors import ConfigError
 
 TOKEN = TokenConfig(name="phone", role="drive", token="a-token-of-a-driver")

@@ -6,7 +6,7 @@ import logging
 from aiohttp.http_exceptions import BadHttpMessage
 from structlog.testing import capture_logs
 
-from hostlink.cli.serve import complaints_logged
+from hostlink.cli.library_logs import complaints_logged
 
 
 async def test_a_wrong_request_is_a_line_without_a_traceback_and_a_fault_has_one() -> None:

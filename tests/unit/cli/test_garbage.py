@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.cli import serve
-from hostlink.cli.serve import CHECK_INTERVAL_S, ENOUGH, REST_S, WHOLE_INTERVAL_S, WORTH, collect_while_idle
+from hostlink.cli import garbage
+from hostlink.cli.garbage import CHECK_INTERVAL_S, ENOUGH, REST_S, WHOLE_INTERVAL_S, WORTH, collect_while_idle
 from tests.support.virtual_loop import run_virtual
 
 USED = 400_000  # objects that are in use
@@ -54,7 +54,7 @@ def collected(
     may_move: Callable[[float], bool] = lambda _: False,
 ) -> int:
     """Run for so long; returns the number of collections."""
-    monkeypatch.setattr(serve, "gc", collector)
+    monkeypatch.setattr(garbage, "gc", collector)
     with pytest.raises(TimeoutError):
         run_virtual(run(seconds, may_move))
     return len(collector.looked_at)

@@ -9,8 +9,8 @@ from typing import cast
 from hostlink.cli.driving import HOLD_S, SEND_INTERVAL_S, ZEROS, Action, Driving, Key
 from hostlink.cli.teleop import KeyDriver, WatchedRobot
 from hostlink.client import Robot, RobotState
-from hostlink.core.hub.robot_events import LET_GO, EventKind, RobotEvent
 from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.events import LET_GO, EventKind, RobotEvent
 from tests.support.fake_device import robot_topics
 from tests.support.memory_client import memory_host
 from tests.support.participants import ROBOT, VELOCITY_ID, Scene, scene

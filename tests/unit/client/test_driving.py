@@ -12,8 +12,8 @@ import pytest
 from hostlink.client import Driven, Refusal, Robot, driver
 from hostlink.core.hub.device import CommandEndpoint
 from hostlink.core.hub.robot import LocalRobot
-from hostlink.core.hub.robot_events import LET_GO, WAS_STOPPED, EventKind, RobotEvent
 from hostlink.core.robot.admission import EARLIER_EPOCH, LEASE_S
+from hostlink.core.robot.events import LET_GO, WAS_STOPPED, EventKind, RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.robot.velocity_gate import VelocityGate
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind

@@ -51,8 +51,7 @@ class AckermannDrive(Drive):
         half_m = self.wheel_separation_m / 2
         return [("rear_left", (1.0, 0.0, -half_m)), ("rear_right", (1.0, 0.0, half_m))] if half_m else []
 
-    def why_impossible(self, velocity: PlanarVelocity) -> str | None:
-        """Moving sideways, and turning without moving, is impossible."""
+    def _why_not(self, velocity: PlanarVelocity) -> str | None:
         if velocity.y_m_s != 0:
             return self._not_sideways()
         if velocity.yaw_rad_s != 0 and velocity.x_m_s == 0:

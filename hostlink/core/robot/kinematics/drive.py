@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 from hostlink.core.robot.kinematics.pose import Pose, moved
 from hostlink.core.robot.velocity import Kinematics, PlanarVelocity
@@ -12,6 +13,7 @@ from hostlink.errors import ConfigError
 Row = tuple[float, float, float]  # speed of one wheel's rim, for 1 m/s of x, 1 m/s of y and 1 rad/s of yaw
 
 WHERE = "drive of a robot"
+_FIELDS = {"linear.x": "x_m_s", "linear.y": "y_m_s", "angular.z": "yaw_rad_s"}  # components by their names in a Twist
 LEAST_INDEPENDENCE = 1e-6  # of the directions in which wheels push: 1 at right angles, 0 if two are the same
 
 
@@ -31,6 +33,7 @@ class Drive:
     label: str = field(init=False, default="a planar drive")
     has_y: bool = field(init=False, default=True)  # it can move sideways
     turns_in_place: bool = field(init=False, default=True)
+    lacks: tuple[str, ...] = field(init=False, default=())  # components for which the robot's command has no field
     wheels: tuple[str, ...] = field(init=False, default=(), repr=False, compare=False)  # names; empty: not known
     _rows: tuple[Row, ...] = field(init=False, default=(), repr=False, compare=False)
     _inverse: tuple[tuple[float, ...], ...] = field(init=False, default=(), repr=False, compare=False)
@@ -59,7 +62,19 @@ class Drive:
 
     def why_impossible(self, velocity: PlanarVelocity) -> str | None:
         """Reason for which the drive cannot move with this velocity at any speed; None: it can."""
+        for component in self.lacks:
+            if getattr(velocity, _FIELDS[component]) != 0:
+                return f"the robot's command has no field for {component}: send 0 there"
+        return self._why_not(velocity)
+
+    def _why_not(self, velocity: PlanarVelocity) -> str | None:
         return None if self.has_y or velocity.y_m_s == 0 else self._not_sideways()
+
+    def without(self, components: Sequence[str]) -> Self:
+        """Return the same drive of a robot whose command lacks components: "linear.y", "angular.z"."""
+        found = dataclasses.replace(self)
+        object.__setattr__(found, "lacks", tuple(components))
+        return found
 
     def _not_sideways(self) -> str:
         return (

@@ -18,7 +18,7 @@ PATH = "/api/links/1/capture"
 def check(test: Callable[[RestMemory], Awaitable[None]]) -> None:
     async def run() -> None:
         async with rest_memory() as api:
-            api.add(Captures(api.hub).routes())
+            api.add(Captures(api.host.devices).routes())
             await test(api)
 
     run_virtual(run())

@@ -22,7 +22,8 @@ from hostlink.components.recorder.black_box import BlackBox
 from hostlink.components.recorder.folder import StoredFile
 from hostlink.components.recorder.incident import Incident, SavedIncident
 from hostlink.components.recorder.mcap_writer import McapWriter
-from hostlink.components.recorder.owner import FolderOwner
+from hostlink.core.runtime.folders import FolderOwner
+from tests.support.hosts import black_box_of
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, VELOCITY_ID
 from tests.support.rest_memory import RestMemory, rest_memory
 from tests.support.waiting import TIMEOUT_S, expect
@@ -35,10 +36,10 @@ ZERO = {"linear_m_s": 0.0, "linear_y_m_s": 0.0, "angular_rad_s": 0.0}
 async def boxed(folder: Path) -> AsyncIterator[tuple[RestMemory, BlackBox]]:
     """Run a REST API whose black box has two poses and one command of the robot."""
     async with rest_memory(settle_s=0.05) as api:
-        box = BlackBox(api.hub, folder)
+        box = black_box_of(api.hub, folder)
         before = len(api.hub.topics.find(f"/{ROBOT}/odometry").subscribers)
         box.start()
-        api.add(HistoryRoutes(api.hub, box, box.folder).routes())
+        api.add(HistoryRoutes(api.host, box, box.folder).routes())
         await expect(lambda: len(api.hub.topics.find(f"/{ROBOT}/odometry").subscribers) > before)
         await api.device.send(ODOMETRY_ID, POSE.pack(1.00000049, 2.0, 0.5))
         await api.device.send(ODOMETRY_ID, POSE.pack(1.5, 2.0, 0.5))

@@ -21,6 +21,7 @@ from hostlink.core.link.fair_share import TURN_S
 from hostlink.core.transport.base import READ_BYTES
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_in
 from tests.support.virtual_loop import VirtualLoop, inside, run_virtual
 
 TIMEOUT_S = 7.0
@@ -55,11 +56,14 @@ class Scene:
     """One connection whose bytes the test delivers."""
 
     def __init__(self, behind_since_s: float | None = None) -> None:
-        self.hub = Hub(Config(api=ApiConfig(request_timeout_s=TIMEOUT_S)), CATALOG, reraises=True)
+        config = ApiConfig(request_timeout_s=TIMEOUT_S)
+        self.hub = Hub(Config(api=config), CATALOG, reraises=True)
         self.connections = ApiConnections(4, 4, request_timeout_s=TIMEOUT_S)
         self.connection = self.connect()
         self.inner, self.transport = Inner(), ApiTransport("127.0.0.1")
-        self.reading = PacedReading(self.inner, self.hub, self.connections, self.connection, behind_since_s)
+        self.reading = PacedReading(
+            self.inner, host_in(self.hub), config, self.connections, self.connection, behind_since_s
+        )
         self.transport.protocol = self.reading
         self.reading.connection_made(self.transport)
         self.reads: list[None] = []

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from hostlink.components.gateway.recordings import RecordingRoutes, send_file
 from hostlink.components.recorder.recordings import Recordings
+from tests.support.hosts import recordings_of
 from tests.support.participants import ROBOT
 from tests.support.rest_memory import RestMemory, rest_memory
 
@@ -15,7 +16,7 @@ PATH = "/api/recordings"
 @contextlib.asynccontextmanager
 async def recorded(folder: Path) -> AsyncIterator[tuple[RestMemory, Recordings]]:
     async with rest_memory(settle_s=0.05) as api:
-        made = Recordings(api.hub)
+        made = recordings_of(api.hub)
         made.folder.path, made.folder.min_free_disk_mb = folder, 0.0
         api.add(RecordingRoutes(made, 1).routes())
         try:

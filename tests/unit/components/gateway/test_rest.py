@@ -18,6 +18,7 @@ from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.views import RobotView
 from hostlink.errors import BadRequest, DeviceGone
 from tests.support.fake_device import CATALOG, topic
+from tests.support.hosts import host_in
 from tests.support.participants import VELOCITY_ID
 from tests.support.remote_robots import RecordingHosts, reach
 from tests.support.rest_memory import RestMemory, rest_memory
@@ -300,7 +301,7 @@ def test_owners_are_bounded_and_a_removed_one_stops_its_robot() -> None:
 
 
 async def test_owner_is_the_same_until_its_token_is_revoked() -> None:
-    owners = Owners(Hub(Config(), CATALOG, reraises=True))
+    owners = Owners(host_in(Hub(Config(), CATALOG, reraises=True)))
     one = owners.of("phone", Role.DRIVE)
     assert owners.of("phone", Role.DRIVE) is one
     assert len(owners) == 1

@@ -13,13 +13,13 @@ from structlog.testing import capture_logs
 from hostlink.components.gateway.clients import Clients
 from hostlink.components.gateway.events import LINGER_S, MAX_LINES, Reader, StateFeed
 from hostlink.components.recorder.incident import Incident
-from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.protocol.rosserial.control import Log
 from hostlink.core.protocol.rosserial.frame import Id
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.hosts import host_of, recordings_of
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual, virtual
 
@@ -32,8 +32,8 @@ def with_feed(test: Callable[[Hub, StateFeed], Awaitable[None]]) -> None:
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())
             await hub.is_running.wait()
-            recordings = Recordings(hub)
-            await test(hub, StateFeed(hub, Clients(8, max_per_address=8), recordings))
+            recordings = recordings_of(hub)
+            await test(hub, StateFeed(host_of(hub), Clients(8, max_per_address=8), recordings))
             await recordings.aclose()
             running.cancel()
 
@@ -281,8 +281,8 @@ def test_many_readers_are_sent_less_often_within_the_cpu_share() -> None:
 def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True)
-        recordings = Recordings(hub)
-        feed = StateFeed(hub, Clients(8, max_per_address=8), recordings)
+        recordings = recordings_of(hub)
+        feed = StateFeed(host_of(hub), Clients(8, max_per_address=8), recordings)
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())
             await hub.is_running.wait()
@@ -304,8 +304,8 @@ def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
 @virtual
 async def test_streams_end_with_the_hub() -> None:
     hub = Hub(Config(), CATALOG, reraises=True)
-    recordings = Recordings(hub)
-    feed = StateFeed(hub, Clients(8, max_per_address=8), recordings)
+    recordings = recordings_of(hub)
+    feed = StateFeed(host_of(hub), Clients(8, max_per_address=8), recordings)
     reader = Reader(feed)
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(hub.run())

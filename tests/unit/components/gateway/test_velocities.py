@@ -8,8 +8,10 @@ import pytest
 
 from hostlink.components.gateway.clients import VelocityOf, velocity_of_payload
 from hostlink.components.gateway.rosbridge import Request, velocity_of_request
+from hostlink.core.config import Config
+from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.node_graph import NodeGraph
 from hostlink.core.hub.topic import DeviceSubscription
-from hostlink.core.hub.topic_graph import TopicGraph
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.fake_device import CATALOG
 
@@ -21,12 +23,12 @@ def read(fields: dict[str, Any]) -> Request:
     return Request(json.dumps(fields))
 
 
-def topics() -> TopicGraph:
-    graph = TopicGraph(CATALOG)
+def topics() -> NodeGraph:
+    hub = Hub(Config(), CATALOG)
     for name, type_name in ((TOPIC, TWIST_TYPE), (STAMPED, TWIST_STAMPED_TYPE), ("/plan", TWIST_TYPE)):
         gate = DeviceSubscription(lambda _: None, is_gate=name != "/plan")
-        graph.subscribe_device(name, "key", gate, type_name=type_name)
-    return graph
+        hub.topics.subscribe_device(name, "key", gate, type_name=type_name)
+    return NodeGraph(hub)
 
 
 @pytest.mark.parametrize(
@@ -117,8 +119,8 @@ def test_message_that_a_robot_may_refuse_is_another_velocity(linear: dict[str, A
 
 def test_serialised_velocity_counts_only_on_a_velocity_topic() -> None:
     graph, of = topics(), VelocityOf("publish", TOPIC, (None, (True, True, False)))
-    assert velocity_of_payload(graph.find(TOPIC), MOVING) == (of, False)
-    assert velocity_of_payload(graph.find(TOPIC), ZERO.encode()) == (of, True)
-    assert velocity_of_payload(graph.find(TOPIC), b"short") == (None, False)
-    assert velocity_of_payload(graph.find("/plan"), MOVING) == (None, False)
+    assert velocity_of_payload(graph.velocity_topic(TOPIC), MOVING) == (of, False)
+    assert velocity_of_payload(graph.velocity_topic(TOPIC), ZERO.encode()) == (of, True)
+    assert velocity_of_payload(graph.velocity_topic(TOPIC), b"short") == (None, False)
+    assert velocity_of_payload(graph.velocity_topic("/plan"), MOVING) == (None, False)
     assert velocity_of_payload(None, MOVING) == (None, False)

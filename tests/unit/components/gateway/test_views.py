@@ -4,8 +4,9 @@ import asyncio
 
 import msgspec
 
-from hostlink.components.gateway.views import LinksView, LinkView, Slices, links_view
+from hostlink.components.gateway.views import Slices, links_view
 from hostlink.core.config import Config
+from hostlink.core.hub.devices import Devices
 from hostlink.core.hub.hub import Hub
 from hostlink.core.link.serving import LinkEnd
 from hostlink.core.messages.catalog import Catalog
@@ -13,6 +14,7 @@ from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import encode
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.core.robot.device_views import LinksView, LinkView
 from tests.support.fake_device import topic
 from tests.support.memory_transport import memory_pair
 
@@ -45,7 +47,7 @@ async def test_view_of_many_topics_yields_the_loop_after_each_link() -> None:
             turns += 1
 
     other = asyncio.get_running_loop().create_task(neighbour())
-    view = await links_view(hub, Slices(hub))
+    view = await links_view(Devices(hub), Slices(hub.turns()))
     other.cancel()
     encoded = msgspec.json.encode(view)
     found = msgspec.json.decode(encoded, type=LinksView)
@@ -60,7 +62,7 @@ async def test_link_that_ends_while_the_view_is_made_is_not_among_the_live_ones(
     last = hub.links.all()[-1]
     last.end(LinkEnd.EVICTED)
     ending = asyncio.get_running_loop().create_task(hub.links.serve(last))
-    view = await links_view(hub, Slices(hub))
+    view = await links_view(Devices(hub), Slices(hub.turns()))
     await ending
     found = msgspec.json.decode(msgspec.json.encode(view), type=LinksView)
     assert [link["number"] for link in found["ended"]] == [last.number]

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from typing import Any, cast
 
@@ -21,11 +22,12 @@ from hostlink.components.gateway.web_socket import (
     frame_head,
 )
 from hostlink.components.gateway.write_pace import LEAST_BYTES, SLOW_S, WRITE_BYTES
-from hostlink.core.config import ApiConfig, Config
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.queue import MAX_RESULTS
 from hostlink.core.runtime.latency import Latency
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_in
 from tests.support.virtual_loop import run_virtual
 
 TEXT, BINARY = 0x81, 0x82
@@ -141,22 +143,24 @@ class Connected:
         self.socket, self.queue = Socket(), ClientQueue()
         self.socket.kind = kind
         self.program, self.latency = Echo(self.queue, tasks), Latency()
-        self.hub = Hub(Config(api=ApiConfig(max_requests_s=max_messages_s)), CATALOG)
+        self.hub, self._replaced = Hub(Config(), CATALOG), Counter[str]()
         self.connection = ClientSocket(
             cast(web.WebSocketResponse, self.socket),
             cast(PacedReading, self.socket),
             cast(Client, self.socket),
             cast(Any, self.program),
             self.queue,
-            self.hub,
+            host_in(self.hub),
             tasks=tasks,
             to_client=self.latency,
+            replaced=self._replaced,
+            max_messages_s=max_messages_s,
         )
         tasks.create_task(self.connection.receive())
 
     @property
     def replaced(self) -> int:
-        return self.hub.counts.velocities_replaced.total()
+        return self._replaced.total()
 
     def written(self) -> list[bytes]:
         """Payloads of short frames, one list item for each write."""

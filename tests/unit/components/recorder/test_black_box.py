@@ -27,6 +27,7 @@ from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import RecordingBusy, UnknownTopic
 from tests.support.fake_device import CATALOG, topic
+from tests.support.hosts import black_box_of
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, ScriptedDevice, robot_topics
 from tests.support.virtual_loop import virtual
 from tests.support.waiting import TIMEOUT_S, expect
@@ -40,7 +41,7 @@ async def running(folder: Path, config: BlackBoxConfig) -> AsyncIterator[tuple[H
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(hub.run())
         await hub.is_running.wait()
-        box = BlackBox(hub, folder)
+        box = black_box_of(hub, folder)
         box.start()
         ScriptedDevice(hub, robot_topics(ROBOT), address="10.0.0.1")
         program = hub.join("program")
@@ -205,7 +206,7 @@ async def test_incident_of_a_killed_daemon_is_saved_by_the_next_with_its_last_co
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(hub.run())
         await hub.is_running.wait()
-        box = BlackBox(hub, tmp_path)
+        box = black_box_of(hub, tmp_path)
         box.start(commands.extend)
         await expect(lambda: box.saved == 2)  # the request, and the end of a daemon while a robot was driven
         await box.aclose()
@@ -235,7 +236,7 @@ async def test_locking_driving_and_ending_a_played_robot_makes_no_incident(tmp_p
 async def test_messages_have_the_time_of_the_event_loop() -> None:
     with tempfile.TemporaryDirectory() as folder:
         hub = Hub(Config(), CATALOG, reraises=True)
-        box = BlackBox(hub, Path(folder))
+        box = black_box_of(hub, Path(folder))
         await asyncio.sleep(1000.0)
         box.put(ros_channel(TEXT, "std_msgs/String", None, is_latched=False, robot=ROBOT), 0, b"", ROBOT)
         assert [entry.at_s for copy in box.rings.copies(ROBOT) for entry in copy] == [1000.0]

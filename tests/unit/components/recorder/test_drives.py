@@ -5,7 +5,7 @@ from itertools import count
 import pytest
 
 from hostlink.components.recorder.drives import MAX_OPEN, PAUSE_NS, Drive, DriveFinder
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 
 S = 1_000_000_000

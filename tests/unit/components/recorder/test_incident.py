@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from hostlink.components.recorder.incident import AGAIN_S, MAX_NAMES, IncidentRules
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 
 FAST = PlanarVelocity(0.2)

@@ -10,9 +10,10 @@ from hostlink.components.recorder.recorder import Recorder, TopicSelection
 from hostlink.core.config import Config
 from hostlink.core.hub.graph_changes import LATEST_S
 from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot_events import EventKind
+from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_of
 from tests.support.remote_robots import remote_robot
 from tests.support.virtual_loop import run_virtual, virtual
 
@@ -52,7 +53,7 @@ async def test_connecting_robot_costs_a_recorder_only_its_own_topics() -> None:
         robot = hub.join(f"robot_{number}")
         for topic in range(10):
             robot.advertise(f"/robot_{number}/{topic}", TYPE)
-    recorder = Recorder(hub, kept, selection)
+    recorder = Recorder(host_of(hub), kept, selection)
     recorder.start()
     await asyncio.sleep(2 * LATEST_S)
     assert len(recorder.topics) >= 3000
@@ -75,7 +76,7 @@ async def test_connecting_robot_costs_a_recorder_only_its_own_topics() -> None:
 def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
     async def run() -> bytes:
         hub, kept = Hub(Config(), CATALOG, reraises=True), Kept()
-        Recorder(hub, kept, TopicSelection()).start()
+        Recorder(host_of(hub), kept, TopicSelection()).start()
         facts = {"velocity": TWIST, "limited": VELOCITY}
         hub.events.note(EventKind.COMMANDED, "robot_0", owner="client 1", address="10.0.0.1", **facts)
         return kept.payloads[-1]
@@ -91,7 +92,7 @@ def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
 async def test_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:
     hub = Hub(Config(), CATALOG, reraises=True)
     hub.join("program").advertise("/robot_7/plan", TYPE)
-    recorder = Recorder(hub, Kept(), TopicSelection(robots=("robot_7",)))
+    recorder = Recorder(host_of(hub), Kept(), TopicSelection(robots=("robot_7",)))
     recorder.start()
     await asyncio.sleep(2 * LATEST_S)
     before = recorder.topics

@@ -22,10 +22,11 @@ from hostlink.components.recorder.recorder import TopicSelection
 from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.config import Config, RecordingConfig
 from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot_events import EventKind
+from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic
 from tests.support.fake_device import CATALOG
+from tests.support.hosts import host_of, recordings_of
 from tests.support.waiting import expect
 
 ALL = TopicSelection()
@@ -45,7 +46,7 @@ async def running_hub(config: Config) -> AsyncIterator[tuple[Hub, Recordings]]:
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(hub.run())
         await hub.is_running.wait()
-        made = Recordings(hub)
+        made = recordings_of(hub)
         await made.open()
         try:
             yield hub, made
@@ -334,12 +335,12 @@ DRIVE = Drive(
 
 
 @contextlib.asynccontextmanager
-async def drive_log(folder: Path, *, is_kept: bool = True) -> AsyncIterator[DriveLog]:
-    hub = Hub(Config(), CATALOG, reraises=True)
+async def drive_log(folder: Path, *, is_kept: bool = True, hub: Hub | None = None) -> AsyncIterator[DriveLog]:
+    hub = hub or Hub(Config(), CATALOG, reraises=True)
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(hub.run())
         await hub.is_running.wait()
-        made = DriveLog(hub, folder, is_kept=is_kept)
+        made = DriveLog(host_of(hub), folder, is_kept=is_kept)
         await made.start()
         yield made
         await made.aclose()
@@ -410,8 +411,9 @@ async def test_drive_is_in_the_file_with_its_end_as_soon_as_it_ends(tmp_path: Pa
     """A killed daemon writes no more. A drive that continues after a pause has no end again."""
     slow = PlanarVelocity(0.1)
     facts: dict[str, object] = {"owner": "ann", "address": "", "priority": 50, "velocity": slow, "limited": slow}
-    async with drive_log(tmp_path) as made:
-        events = made._hub.events
+    hub = Hub(Config(), CATALOG, reraises=True)
+    async with drive_log(tmp_path, hub=hub):
+        events = hub.events
 
         def ends() -> list[tuple[str, int]]:
             return [(each.end, each.commands) for each in read_drives(tmp_path)]

@@ -33,7 +33,7 @@ from hostlink.core.hub.message import Message
 from hostlink.core.mirror.inbox import MAX_SOURCES
 from tests.support.background import meanwhile
 from tests.support.fake_device import CATALOG
-from tests.support.hosts import working_host
+from tests.support.hosts import host_of
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
 from tests.support.virtual_loop import inside, run_virtual
@@ -72,7 +72,7 @@ class World:
         self._numbers = 0
         session = cast("ZenohSession", MemorySession(self.network, "ff"))
         token = NodeToken(0, "ff", 0, "/", "hostlink_lab", OWN_ENCLAVE)
-        self.bridge = RmwBridge(working_host(scene.hub, "zenoh"), session, TYPES, token)
+        self.bridge = RmwBridge(host_of(scene.hub, "zenoh"), session, TYPES, token)
         self.counts = self.bridge.counts
 
     def own(self, kind: TokenKind) -> dict[str, EndpointToken]:

@@ -7,10 +7,10 @@ import pytest
 
 from hostlink.core.diagnosis.finding import Finding
 from hostlink.core.hub.diagnoses import ENDED_LINKS, LOG_AGAIN_S, MAX_ANNOUNCED, Diagnosis
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.robot.events import EventKind, RobotEvent
 from tests.support.fake_device import robot_topics, topic
 from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.scripted_device import ScriptedDevice

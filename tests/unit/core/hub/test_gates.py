@@ -10,10 +10,10 @@ from hostlink.core.config import Config, RobotConfig
 from hostlink.core.hub.gates import FEED_INTERVAL_S, MAX_GUARDED, Refusals
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Node
-from hostlink.core.hub.robot_events import LEASE_ENDED, LET_GO, NOT_TAKEN, OTHER_TOPICS, EventKind, RobotEvent
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, encode
 from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.events import LEASE_ENDED, LET_GO, NOT_TAKEN, OTHER_TOPICS, EventKind, RobotEvent
 from hostlink.core.robot.velocity import ZERO, PlanarVelocity, Twist
 from hostlink.errors import CommandRefused, DeviceGone, FrameTooLarge, HostlinkError, RefusalKind
 from tests.support.compiled_modules import replaces_a_method

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hostlink.core.config import Config, LinkConfig, RobotConfig
-from hostlink.core.hub.hub import places_of
+from hostlink.core.hub.reloader import places_of
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter

@@ -6,10 +6,10 @@ from structlog.testing import capture_logs
 
 from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import Id, encode
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.core.robot.events import EventKind, RobotEvent
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.ros_lib_device import running_hub

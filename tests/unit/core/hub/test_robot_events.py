@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from hostlink.core.hub.robot_events import EventKind, RobotEvent
+from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import BadRequest, CommandRefused
 from tests.support.fake_device import robot_topics

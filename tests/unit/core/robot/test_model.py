@@ -399,13 +399,29 @@ def test_every_topic_has_one_role_of_which_the_command_precedes() -> None:
 
 @pytest.mark.parametrize(
     "topics",
-    [("left_rpm", "right_rpm"), ("M1", "M2"), ("left", "right"), ("front_left", "front_right"), ("fl", "fr"), ("esc",)],
+    [
+        ("left_rpm", "right_rpm"),
+        ("M1", "M2"),
+        ("left", "right"),
+        ("front_left", "front_right"),
+        ("fl", "fr"),
+        ("esc",),
+        ("vl", "vr"),
+        ("u_left", "u_right"),
+        ("omega_left", "omega_right"),
+        ("voltage_left", "voltage_right"),
+        ("izquierda", "derecha"),
+        ("moteurG", "moteurD"),
+        ("omni/movimiento",),
+        ("geschwindigkeit", "lenkung"),
+        ("/actuators/steering", "/actuators/speed"),
+    ],
 )
 def test_usual_names_of_motors_look_like_motion(topics: tuple[str, ...]) -> None:
     assert names(unguarded([to(name, INT16) for name in topics])) == list(topics)
 
 
-@pytest.mark.parametrize("name", ["describe", "leftover", "m10_led", "door"])
+@pytest.mark.parametrize("name", ["describe", "leftover", "m10_led", "door", "led_left", "voltmeter", "video"])
 def test_other_names_of_numbers_do_not(name: str) -> None:
     assert unguarded([to(name, INT16)]) == []
 
@@ -453,6 +469,9 @@ def numbers(*topics: str, type_name: str = INT16) -> list[Endpoint]:
         ),
         (["steering"], ["steering"]),
         (["motor1", "motor2"], ["motor1", "motor2"]),
+        (["derecha", "izquierda"], ["izquierda", "derecha"]),
+        (["vr", "vl"], ["vl", "vr"]),
+        (["moteurD", "moteurG"], ["moteurG", "moteurD"]),
     ],
 )
 def test_suggestion_of_wheels_names_them_in_order(topics: list[str], wheels: list[str]) -> None:

@@ -8,13 +8,14 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.components.recorder.robot_names import DAMAGED, FILE, MAX_FILE_BYTES, NamesFile, folder_of, kept_names
 from hostlink.core.config import Config, SerialConfig, TcpConfig, UdpConfig
 from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.kept_names import DAMAGED, FILE, MAX_FILE_BYTES, NamesFile, folder_of, kept_names
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.names import Remembered
 from tests.support.fake_device import CATALOG, topic
 from tests.support.memory_hub import MemoryHub, RecordingGuard, running
+from tests.support.waiting import expect
 
 V = Remembered("robot_0", "10.0.0.7", True)
 UNNAMED = [topic(EndpointKind.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
@@ -25,7 +26,7 @@ def in_kept_hub(folder: Path, test: Callable[[MemoryHub], Coroutine[Any, Any, No
 
     async def run(logs: list[Any]) -> None:
         hub = Hub(Config(), CATALOG, reraises=True, guard=RecordingGuard())
-        async with running(hub), kept_names(hub, NamesFile(folder)):
+        async with running(hub), kept_names(hub.links, NamesFile(folder)):
             await test(MemoryHub(hub, RecordingGuard(), logs))
 
     with capture_logs() as logs:
@@ -43,6 +44,7 @@ def read(folder: Path) -> dict[str, Remembered]:
 
 async def named(made: MemoryHub, address: str) -> str:
     device = await made.connect(UNNAMED, address=address)
+    await expect(lambda: made.hub.robots.of_link(device.link))
     robot = made.hub.robots.of_link(device.link)
     assert robot is not None
     return robot.name
@@ -105,7 +107,7 @@ def test_disk_that_fails_later_is_said_once_and_the_daemon_runs_on(tmp_path: Pat
 
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True, guard=RecordingGuard())
-        async with running(hub), kept_names(hub, Full(tmp_path)):
+        async with running(hub), kept_names(hub.links, Full(tmp_path)):
             made = MemoryHub(hub, RecordingGuard(), [])
             for number in range(3):
                 await named(made, f"10.0.0.{number}")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.components.recorder.owner import NAME, FolderOwner, FolderTaken, owner_of
+from hostlink.core.runtime.folders import NAME, FolderOwner, FolderTaken, owner_of
 
 
 def test_second_owner_is_refused_with_the_name_of_the_first_until_that_one_ends(tmp_path: Path) -> None:
@@ -53,9 +53,7 @@ def test_question_for_the_owner_refuses_no_daemon_that_claims_meanwhile(
     owner = FolderOwner(tmp_path, "daemon 7")
     with (tmp_path / NAME).open("wb") as asked:
         fcntl.flock(asked, fcntl.LOCK_EX)
-        monkeypatch.setattr(
-            "hostlink.components.recorder.owner.time.sleep", lambda _: fcntl.flock(asked, fcntl.LOCK_UN)
-        )
+        monkeypatch.setattr("hostlink.core.runtime.folders.time.sleep", lambda _: fcntl.flock(asked, fcntl.LOCK_UN))
         owner.claim()
     assert owner_of(tmp_path) == "daemon 7"
 
@@ -81,7 +79,7 @@ def test_folder_that_vanishes_again_and_again_is_refused(tmp_path: Path, monkeyp
     def remove(_: int, __: int) -> None:
         shutil.rmtree(tmp_path / "recordings")
 
-    monkeypatch.setattr("hostlink.components.recorder.owner.fcntl.flock", remove)
+    monkeypatch.setattr("hostlink.core.runtime.folders.fcntl.flock", remove)
     with pytest.raises(FolderTaken, match="another daemon"):
         owner.claim()
 
@@ -90,7 +88,7 @@ def test_file_system_without_locks_lets_every_daemon_write(tmp_path: Path, monke
     def refuse(_: int, __: int) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr("hostlink.components.recorder.owner.fcntl.flock", refuse)
+    monkeypatch.setattr("hostlink.core.runtime.folders.fcntl.flock", refuse)
     FolderOwner(tmp_path, "daemon 7").claim()
     FolderOwner(tmp_path, "daemon 8").claim()
     assert owner_of(tmp_path) is None

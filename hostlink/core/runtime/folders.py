@@ -1,4 +1,4 @@
-"""FolderOwner: one daemon writes into a folder of recordings; another one is told which."""
+"""Folders in which a daemon keeps its state. One daemon writes into a folder; another one is told which."""
 
 import contextlib
 import errno
@@ -12,6 +12,13 @@ NAME = ".owner"  # locked by the daemon that owns the folder; its text says whic
 _MAX_TEXT = 200
 _TRIES = 3
 _AGAIN_S = 0.02  # a program that asks for the owner holds the lock for an instant
+
+
+def state_folder() -> Path:
+    """Return the folder of what outlives the daemon: systemd's state directory for a service, otherwise that of XDG."""
+    of_service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    return Path(of_service) if of_service else state / "hostlink"
 
 
 class FolderTaken(OSError):

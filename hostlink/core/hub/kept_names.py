@@ -8,13 +8,12 @@ from pathlib import Path
 import msgspec
 import structlog
 
-from hostlink.components.recorder.folder import default_folder
-from hostlink.components.recorder.owner import FolderOwner, FolderTaken
 from hostlink.core.config import Config
-from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.links import Links
 from hostlink.core.robot.names import Remembered
 from hostlink.core.runtime.cancellation import meanwhile
 from hostlink.core.runtime.detached import DetachedThread
+from hostlink.core.runtime.folders import FolderOwner, FolderTaken, state_folder
 from hostlink.core.runtime.whole_file import replace_file
 
 log = structlog.get_logger()
@@ -36,7 +35,7 @@ def folder_of(config: Config) -> Path | None:
     port = config.tcp.port or (0 if config.udp is None else config.udp.port)
     if not port and not config.serial:
         return None
-    return default_folder().parent / "names" / str(port)
+    return state_folder() / "names" / str(port)
 
 
 class NamesFile:
@@ -78,8 +77,8 @@ class NamesFile:
 class KeptNames:
     """Reads the names at the start of the daemon, and writes them after each change. Failures are logged once."""
 
-    def __init__(self, hub: Hub, file: NamesFile) -> None:
-        self._links, self._file = hub.links, file
+    def __init__(self, links: Links, file: NamesFile) -> None:
+        self._links, self._file = links, file
         self._thread = DetachedThread("names")
         self._saved: Names = {}
         self._changed = asyncio.Event()
@@ -137,12 +136,12 @@ class KeptNames:
 
 
 @contextlib.asynccontextmanager
-async def kept_names(hub: Hub, file: NamesFile | None) -> AsyncIterator[None]:
+async def kept_names(links: Links, file: NamesFile | None) -> AsyncIterator[None]:
     """Keep the names of robots over restarts, for the length of a block. Without a file, they are not kept."""
     if file is None:
         yield
         return
-    names = KeptNames(hub, file)
+    names = KeptNames(links, file)
     await names.open()
     try:
         async with meanwhile(("names", names.run())):
