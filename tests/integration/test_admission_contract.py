@@ -498,8 +498,8 @@ def rows_of(entry_point: type[EntryPoint]) -> list[str]:
 #: What gives velocities in the source, and the entry points here that come that way. A `drive`, `command`, `follow` or
 #: `publish` that is not here is a way by which a robot may be driven without a test.
 SITES: dict[str, tuple[type[EntryPoint], ...]] = {
-    "components/gateway/rosbridge.py: self._participant.drive": (entry_points.RosbridgeDrive, entry_points.Page),
-    "components/gateway/rest.py: owner.drive": (entry_points.RestPut,),
+    "components/gateway/rosbridge.py: robot.drive": (entry_points.RosbridgeDrive, entry_points.Page),
+    "components/gateway/rest.py: robot.drive": (entry_points.RestPut,),
     "components/gateway/rosbridge.py: self.participant.publish": (
         entry_points.RosbridgePublish, entry_points.RosbridgeRaw, entry_points.TwistStamped,
     ),
@@ -534,6 +534,7 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "core/hub/gates.py: self.command": (entry_points.RosbridgePublish, entry_points.TwistStamped),
     "core/hub/participant.py: known.publish": (entry_points.RosbridgePublish,),
     "core/hub/participant.py: robot.command": (entry_points.RosbridgeDrive,),
+    "core/hub/robot_handle.py: participant.drive": (entry_points.RosbridgeDrive, entry_points.RestPut),
     "core/hub/gates.py: gate.command": (entry_points.RosbridgeDrive,),
     "core/hub/robots_here.py: participant.drive": (entry_points.Fleet,),
     "core/hub/remote_robot.py: self.provision.drive": (entry_points.FleetSender, entry_points.FleetSenderPublish),
@@ -541,7 +542,8 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
 }  # fmt: skip
 #: What has the same name, and gives no velocity.
 OTHERS = {
-    "components/gateway/events.py: participant.follow": "poses",
+    "components/gateway/events.py: robot.follow": "poses",
+    "core/hub/robot_handle.py: participant.follow": "poses",
     "components/gateway/rest.py: self._owner(request).publish": "the reset of the odometry",
     "components/gateway/rosbridge.py: self._topics.publish": "an advertisement",
     "cli/calibration_session.py: self._drives.follow": "calls Drives.follow",

@@ -78,8 +78,8 @@ def port_of(host: Daemon) -> int:
 
 @contextlib.asynccontextmanager
 async def joined(port: int, name: str, **settings: Any) -> AsyncIterator[Daemon]:
-    """One more daemon, which connects to that port."""
+    """One more daemon, which connects to that port, and has heard the daemon there."""
     own = Config(component_settings={"zenoh": zenoh(name, free_port(), port, **settings)})
     async with daemon(own) as host:
-        await has_met(host, 0)
+        await has_met(host, 1)
         yield host

@@ -1,8 +1,9 @@
 """RobotProvider: interface of a component to robots of other hosts. Providers reaches all of them."""
 
 import asyncio
+import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Hashable
+from collections.abc import Awaitable, Callable, Hashable, Iterator
 from typing import TYPE_CHECKING
 
 from hostlink.core.robot.velocity import PlanarVelocity
@@ -113,8 +114,7 @@ class Provision:
         Raises:
             DeviceGone: the provider has failed.
         """
-        self._check()
-        try:
+        with self._guarded():
             self._provider.drive(
                 robot,
                 velocity,
@@ -124,14 +124,19 @@ class Provision:
                 epoch=epoch,
                 take_over=take_over,
             )
-        except HostlinkError:
-            raise
-        except Exception as error:
-            raise self._fail(error) from error
 
     def answer(self, robot: "RemoteRobot", owner: Hashable) -> Awaitable[PlanarVelocity]:
-        """Return the later answer; as `RobotProvider.answer`."""
-        return self._provider.answer(robot, owner)
+        """Return the later answer; as `RobotProvider.answer`.
+
+        Raises:
+            DeviceGone: the provider has failed.
+        """
+        with self._guarded():
+            return self._answered(self._provider.answer(robot, owner))
+
+    async def _answered(self, answer: Awaitable[PlanarVelocity]) -> PlanarVelocity:
+        with self._caught():
+            return await answer
 
     def unlock(self, robot: "RemoteRobot") -> None:
         """Unlock a robot; as `RobotProvider.unlock`.
@@ -139,13 +144,8 @@ class Provision:
         Raises:
             DeviceGone: the provider has failed.
         """
-        self._check()
-        try:
+        with self._guarded():
             self._provider.unlock(robot)
-        except HostlinkError:
-            raise
-        except Exception as error:
-            raise self._fail(error) from error
 
     def order(self, send: Callable[[RobotProvider], None]) -> None:
         """Send what is for all its robots. A failure is raised by `settled`."""
@@ -160,20 +160,33 @@ class Provision:
         Raises:
             DeviceGone: the provider has failed, or does not return in time.
         """
-        self._check()
-        try:
-            async with asyncio.timeout(SETTLE_TIMEOUT_S):
-                found = await self._provider.settled()
-        except HostlinkError:
-            raise
-        except TimeoutError:
-            raise DeviceGone(self.name, "it has not answered") from None
-        except Exception as error:
-            raise self._fail(error) from error
+        with self._guarded():
+            try:
+                async with asyncio.timeout(SETTLE_TIMEOUT_S):
+                    found = await self._provider.settled()
+            except TimeoutError:
+                raise DeviceGone(self.name, "it has not answered") from None
         self._check()
         if self.has_ended:
             raise DeviceGone(self.name, "the component has failed, and does not run yet; its robots are not reached")
         return found
+
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Call the provider in a block, unless it has failed."""
+        self._check()
+        with self._caught():
+            yield
+
+    @contextlib.contextmanager
+    def _caught(self) -> Iterator[None]:
+        """Take an exception of a block for a failure of the provider, except for a HostlinkError."""
+        try:
+            yield
+        except HostlinkError:
+            raise
+        except Exception as error:
+            raise self._fail(error) from error
 
     def _check(self) -> None:
         if self._failure:

@@ -18,7 +18,7 @@ from tests.support.participants import subscribe
 from tests.support.rosbridge import client
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect, expect_never
-from tests.support.zenoh_fleet import drive, fleet, joined, port_of, robot, shown, subscriber_count
+from tests.support.zenoh_fleet import drive, fleet, has_met, joined, port_of, robot, shown, subscriber_count
 
 STILL = (0.0, 0.0)
 ROBOTS = 10
@@ -270,6 +270,7 @@ async def test_a_daemon_that_ends_takes_its_robots_with_it_and_its_drivers() -> 
         ):
             await shown(a, "robot_7")
             await shown(b, "robot_1")
+            await has_met(a, 1)
             b.hub.join("driver").drive(b.hub.robots.find("robot_1"), PlanarVelocity(x_m_s=0.3))
             assert await own.velocity_other_than(STILL) == (0.3, 0.0)
             await stack.aclose()

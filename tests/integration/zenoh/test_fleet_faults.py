@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,8 @@ from tests.support.proxy import Line, Proxy, proxy
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect
 from tests.support.zenoh_certificates import make_authority, make_certificate, write_rules
-from tests.support.zenoh_fleet import drive, fleet, joined, port_of, robot, shown, subscriber_count
+from tests.support.zenoh_fleet import drive, fleet, has_met, joined, port_of, robot, shown, subscriber_count
+from tests.support.zenoh_fleet import zenoh as zenoh_settings
 
 STILL, MOVING = (0.0, 0.0), (0.2, 0.0)
 
@@ -45,7 +47,22 @@ async def apart() -> AsyncIterator[tuple[Daemon, Daemon, Proxy]]:
         (a,) = await stack.enter_async_context(fleet("a"))
         line = await stack.enter_async_context(proxy(("127.0.0.1", port_of(a))))
         b = await stack.enter_async_context(joined(int(line.url.rpartition(":")[2]), "b"))
+        await has_met(a, 1)
         yield a, b, line
+
+
+async def test_fleet_whose_port_is_in_use_is_joined_once_it_is_free() -> None:
+    port = free_port()
+    with socket.create_server(("127.0.0.1", port)) as taken:
+        own = Config(component_settings={"zenoh": zenoh_settings("a", port)})
+        async with daemon(own) as host, fake_device(host.tcp, robot_topics("robot_7")) as device:
+            await expect(lambda: host.hub.diagnoses.own["zenoh"].code == "component_failed")
+            await host.drive("robot_7", b'{"linear":0.2,"angular":0}')
+            assert await device.velocity_other_than(STILL) == MOVING
+            taken.close()
+            async with joined(port, "b") as other:
+                await shown(other, "robot_7")
+            assert host.hub.diagnoses.own == {}
 
 
 async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:

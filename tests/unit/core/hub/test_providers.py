@@ -120,7 +120,28 @@ async def test_provider_that_fails_is_sent_no_further_command(made: MemoryHub) -
             drive_gate(robot, SLOW, owner="ann")
     with pytest.raises(DeviceGone, match="cloud: the component has failed"):
         robot.unlock()
+    with pytest.raises(DeviceGone, match="cloud: the component has failed"):
+        await robot.answer("ann")
     assert ([sent[0] for sent in hosts.sent], len(failures)) == (["drive"], 1)
+
+
+class Answering(RecordingHosts):
+    """Provider whose answer to a command has a bug."""
+
+    async def answer(self, robot: RemoteRobot, owner: Hashable) -> PlanarVelocity:
+        raise ZeroDivisionError(f"a bug in the answer to {owner} of {robot.name}")
+
+
+@inside(in_hub)
+async def test_bug_in_an_answer_is_an_error_for_its_caller_and_ends_the_component(made: MemoryHub) -> None:
+    hosts, failures = Answering(), list[Exception]()
+    robot = connected_robot(made.hub, "robot_7", hosts)
+    robot.provision = Provision(hosts, "cloud", failures.append)
+    program = made.hub.join("program")
+    program.drive(robot, SLOW)
+    with pytest.raises(DeviceGone, match=r"cloud: the component has failed: .*a bug in the answer"):
+        await program.driven(robot, SLOW)
+    assert len(failures) == 1
 
 
 @pytest.mark.parametrize("broken", ["unlock", "unlock_all", "settled"])
