@@ -16,7 +16,6 @@ import structlog
 
 from hostlink.core.hub.isolation import Isolation
 from hostlink.core.hub.message import Message
-from hostlink.core.hub.node import address_of
 from hostlink.core.hub.robot_events import (
     HOST_AWAY,
     LEASE_ENDED,
@@ -27,9 +26,11 @@ from hostlink.core.hub.robot_events import (
     WAS_STOPPED,
     EventKind,
     RobotEvents,
+    facts_of,
 )
 from hostlink.core.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.core.hub.topic import Topic
+from hostlink.core.link.fair_share import TURN_S
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import LinkEnd
 from hostlink.core.protocol.endpoint import DeviceEndpoint
@@ -155,14 +156,29 @@ class VelocityTarget(ABC):
         """
         twist, stamp_ns = self.decode(message)
         stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
+        self.receive_twist(
+            twist, message.source, message.priority, message.at_s, epoch=message.epoch, stamp_age_s=stamp_age_s
+        )
+
+    def receive_twist(
+        self,
+        twist: Twist,
+        source: Hashable,
+        priority: int,
+        received_s: float,
+        *,
+        epoch: int | None = None,
+        stamp_age_s: float | None = None,
+    ) -> None:
+        """Receive a published Twist as a command; as `receive`. The arguments are those of a `Command`."""
         is_spatial = self.admission.drive is None
         velocity: PlanarVelocity | Twist = twist if is_spatial else twist.planar
         command: Command[Any] = Command(
             velocity,
-            message.source,
-            message.priority,
-            message.at_s,
-            epoch=message.epoch,
+            source,
+            priority,
+            received_s,
+            epoch=epoch,
             stamp_age_s=stamp_age_s,
             is_planar=is_spatial or twist.is_planar,
         )
@@ -311,6 +327,7 @@ class Gates:
         self._active: dict[Drivable, None] = {}  # drivables whose gate may have a velocity to send
         self._wake = asyncio.Event()
         self._stalls = StallWatch(slept_s)
+        self._noticed_s = float("-inf")  # when it was last looked for a pause
         self._unwritten: dict[Link, None] | None = None  # links with a velocity, between `hold` and `write`
 
     # -- which there are ----------------------------------------------------------------------------------------------
@@ -392,14 +409,14 @@ class Gates:
         """Drive a device here; as `VelocityTarget.command`."""
         gate: VelocityGate[V] = drivable.gate
         velocity, owner = command.velocity, command.source
-        facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
+        is_zero = velocity.is_zero
         try:
             now_s = asyncio.get_running_loop().time()
             command = self.timed(drivable.name, command, now_s)
-            if drivable.no_stop and not velocity.is_zero:
+            if not is_zero and drivable.no_stop:
                 raise CommandRefused(drivable.name, RefusalKind.NOT_CONNECTED, f"{drivable.name}: {drivable.no_stop}")
             # Two zeros at the same time would become one frame on a slow line.
-            is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
+            is_stopping = is_zero and gate.is_stopping and drivable.refusals.cause is None
             driver = gate.owner
             limited = gate.command(command, now_s=now_s)
             ended = gate.pop_ended()
@@ -415,13 +432,14 @@ class Gates:
         except HostlinkError as error:
             if gate.driver is not None and gate.admission.driver(gate, loop_time_s()) is None:
                 self._step(drivable, loop_time_s(), is_news=True)  # the command has ended the drive of its source
-            if not (velocity.is_zero and command.is_planar):
-                self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
+            if not (is_zero and command.is_planar):
+                self.events.note(EventKind.REFUSED, drivable.name, **facts_of(command), reason=str(error))
             raise
         connection = drivable.connection
-        if connection is not None and len(connection.drivables) > 1 and not velocity.is_zero:
+        if connection is not None and len(connection.drivables) > 1 and not is_zero:
             self._overrule(connection.drivables, drivable)
-        self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
+        is_continued = driver is owner and ended is None and not is_zero
+        self.events.note_commanded(drivable.name, command, limited, now_s, is_continued=is_continued)
         return limited
 
     def hold(self) -> None:
@@ -430,9 +448,13 @@ class Gates:
 
     def write(self) -> None:
         """Write the velocities since `hold`: the newest of each topic."""
-        links, self._unwritten = self._unwritten or {}, None
-        for link in links:
-            link.write_now()
+        links, self._unwritten = self._unwritten, None
+        if links:
+            now_s = asyncio.get_running_loop().time()
+            if now_s >= self._noticed_s + TURN_S:  # otherwise the command looked for a pause in this turn of the loop
+                self._notice_pause(now_s)
+            for link in links:
+                link.write_now(now_s)
 
     def timed(self, name: str, command: Command[V], now_s: float) -> Command[V]:
         """Return the command with the earliest time of its arrival: it may have waited while the loop was late.
@@ -454,7 +476,7 @@ class Gates:
 
     def _notice_pause(self, now_s: float) -> None:
         """Interrupt every robot, here or of another daemon, if this process has just resumed after a pause."""
-        since_s = self._stalls.pop_pause(now_s)
+        since_s, self._noticed_s = self._stalls.pop_pause(now_s), now_s
         if since_s is not None:
             for admission in tuple(self._admissions):  # also of a robot at rest: its sources may be disarmed
                 admission.interrupt(now_s, since_s=since_s, came_s=since_s, by="a pause of hostlink")
@@ -600,6 +622,7 @@ class Gates:
                 if connection is not None and gate.may_move:
                     driven.add(connection.link.number)
             self._beat(driven)
+            self.events.flush()
             if self._active:
                 due_s = now_s + TICK_S
                 for drivable in self._active:
