@@ -13,6 +13,7 @@ from hostlink.core.hub.byte_budget import ByteBudget
 from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.core.hub.node import Node
 from hostlink.core.messages.message_type import MessageType
+from hostlink.core.robot.velocity import Twist
 from hostlink.errors import BadRequest, HostlinkError
 
 log = structlog.get_logger()
@@ -118,13 +119,23 @@ class Listener(Protocol):
     def fail(self, error: Exception, /) -> None: ...
 
 
+class TwistTarget(Protocol):
+    """Target of velocities that takes a Twist without a message."""
+
+    def receive_twist(self, twist: Twist, source: Hashable, priority: int, received_s: float) -> None: ...
+
+
 class DeviceSubscription(NamedTuple):
-    """Subscription of a device: of its link, or of a velocity gate. `receive` raises the refusal of a message."""
+    """Subscription of a device: of its link, or of a velocity gate. `receive` raises the refusal of a message.
+
+    `target` does the same with a Twist as `receive` with a message that has it; None: only `receive` can.
+    """
 
     receive: Receive
     is_gate: bool
     is_command: bool = False  # each message is an action, such as a reset of odometry
     is_away: bool = False  # the gate of a robot whose device is not connected
+    target: TwistTarget | None = None
 
     @property
     def takes_latched(self) -> bool:
@@ -144,7 +155,8 @@ class Topic:
 
     __slots__ = (
         "_budget", "_deliveries", "_expected", "_is_gated", "_number", "_snapshot", "_subscribers",
-        "devices", "earlier", "latched", "messages", "name", "publishers", "rank", "type", "type_name",
+        "devices", "earlier", "latched", "messages", "name", "publishers", "rank", "target", "type",
+        "type_name",
     )  # fmt: skip
 
     def __init__(self, name: str, deliveries: Deliveries | None = None, budget: ByteBudget | None = None) -> None:
@@ -163,6 +175,7 @@ class Topic:
         self._expected: dict[str, int] = {}  # number of subscribers that expect each type
         self._snapshot: tuple[Listener, ...] | None = ()  # None: made again for the next message
         self._is_gated = False
+        self.target: TwistTarget | None = None  # the gate that is its only device
         self._deliveries = Deliveries() if deliveries is None else deliveries
         self._budget = ByteBudget() if budget is None else budget
 
@@ -194,12 +207,17 @@ class Topic:
     def add_device(self, key: Hashable, subscription: DeviceSubscription) -> None:
         """Add a device or a gate."""
         self.devices[key] = subscription
-        self._is_gated = any(each.is_gate for each in self.devices.values())
+        self._note_devices()
 
     def remove_device(self, key: Hashable) -> None:
         """Remove a device or a gate. Do nothing if it is not subscribed."""
         self.devices.pop(key, None)
-        self._is_gated = any(each.is_gate for each in self.devices.values())
+        self._note_devices()
+
+    def _note_devices(self) -> None:
+        devices = list(self.devices.values())
+        self._is_gated = any(each.is_gate for each in devices)
+        self.target = devices[0].target if len(devices) == 1 else None
 
     @property
     def expected_type(self) -> str:
