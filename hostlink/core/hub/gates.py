@@ -30,7 +30,6 @@ from hostlink.core.hub.robot_events import (
 )
 from hostlink.core.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.core.hub.topic import Topic
-from hostlink.core.link.fair_share import TURN_S
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import LinkEnd
 from hostlink.core.protocol.endpoint import DeviceEndpoint
@@ -39,6 +38,7 @@ from hostlink.core.robot.command_types import CommandType, Published, decode_twi
 from hostlink.core.robot.model import STOP_SERVICE_TYPES
 from hostlink.core.robot.velocity import ZERO, AnyVelocity, PlanarVelocity, Twist
 from hostlink.core.robot.velocity_gate import EndedLease, V, VelocityGate
+from hostlink.core.runtime.arrival import SETTLE_S
 from hostlink.core.runtime.host_pauses import HostPauses
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -451,7 +451,7 @@ class Gates:
         links, self._unwritten = self._unwritten, None
         if links:
             now_s = asyncio.get_running_loop().time()
-            if now_s >= self._noticed_s + TURN_S:  # otherwise the command looked for a pause in this turn of the loop
+            if now_s >= self._noticed_s + SETTLE_S:  # otherwise a command of this turn has looked for a pause
                 self._notice_pause(now_s)
             for link in links:
                 link.write_now(now_s)
@@ -613,6 +613,10 @@ class Gates:
                     await asyncio.sleep(0)
                     now_s = loop.time()
                 connection, gate = drivable.connection, drivable.gate
+                if gate.driver is not None and now_s < drivable.sent_at_s + FEED_INTERVAL_S and gate.stays(now_s):
+                    if connection is not None:
+                        driven.add(connection.link.number)
+                    continue  # it is driven at its target, and was sent that a short time ago
                 if drivable.is_given_up and connection is not None and not gate.may_move:
                     self._detach_lost(drivable, connection)
                 elif gate.may_move or (gate.is_active and connection is not None):
@@ -670,17 +674,17 @@ class Gates:
                 self._note_ended(drivable, ended, now_s)
             if velocity is None or connection is None:
                 return None
-            link = connection.link
-            if not velocity.is_zero and link.number not in self._driven:
+            link, is_zero = connection.link, velocity.is_zero
+            if not is_zero and link.number not in self._driven:
                 self._beat(self._driven | {link.number})  # before it moves
-            if is_fed and velocity == drivable.sent and not velocity.is_zero:
+            if is_fed and velocity == drivable.sent and not is_zero:
                 return None
             payloads = drivable.commands.encode(velocity, time.time_ns())
             try:
-                self._put(drivable, link, payloads, is_zero=velocity.is_zero, is_kept=is_first)
+                self._put(drivable, link, payloads, is_zero=is_zero, is_kept=is_first)
                 # Frames that would delay a stop on a slow line are held back or refused while the robot moves.
-                link.session.outbox.robot_moves = gate.may_move or any(
-                    each.gate.may_move for each in connection.drivables
+                link.session.outbox.robot_moves = (
+                    not is_zero or gate.may_move or any(each.gate.may_move for each in connection.drivables)
                 )
             except HostlinkError as error:
                 drivable.refusals.add(drivable.name, error)

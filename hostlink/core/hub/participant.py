@@ -175,8 +175,8 @@ class Participant(Node):
             return False
         if self.has_left or self.role < Role.DRIVE or self._hub.gates.is_closed:
             return False
-        if self not in known.publishers:
-            self.note_publishing(topic)
+        if self not in known.publishers:  # as `note_publishing`
+            topics.earlier.note(known.name, self, asyncio.get_running_loop().time())
         senders = topics.deliveries.begin_sending(self)
         try:
             target.receive_twist(

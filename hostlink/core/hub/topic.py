@@ -154,8 +154,8 @@ class Topic:
     """
 
     __slots__ = (
-        "_budget", "_deliveries", "_expected", "_is_gated", "_number", "_snapshot", "_subscribers",
-        "devices", "earlier", "latched", "messages", "name", "publishers", "rank", "target", "type",
+        "_budget", "_deliveries", "_expected", "_number", "_snapshot", "_subscribers",
+        "devices", "earlier", "is_gated", "latched", "messages", "name", "publishers", "rank", "target", "type",
         "type_name",
     )  # fmt: skip
 
@@ -174,7 +174,7 @@ class Topic:
         self._number = 0  # of the next subscriber
         self._expected: dict[str, int] = {}  # number of subscribers that expect each type
         self._snapshot: tuple[Listener, ...] | None = ()  # None: made again for the next message
-        self._is_gated = False
+        self.is_gated = False  # a velocity gate subscribes, so that messages drive a robot
         self.target: TwistTarget | None = None  # the gate that is its only device
         self._deliveries = Deliveries() if deliveries is None else deliveries
         self._budget = ByteBudget() if budget is None else budget
@@ -216,7 +216,7 @@ class Topic:
 
     def _note_devices(self) -> None:
         devices = list(self.devices.values())
-        self._is_gated = any(each.is_gate for each in devices)
+        self.is_gated = any(each.is_gate for each in devices)
         self.target = devices[0].target if len(devices) == 1 else None
 
     @property
@@ -228,11 +228,6 @@ class Topic:
     def is_used(self) -> bool:
         """Whether the topic has a publisher or subscriber."""
         return bool(self.publishers or self._subscribers or self.devices)
-
-    @property
-    def is_gated(self) -> bool:
-        """Whether a velocity gate subscribes, so that messages drive a robot."""
-        return self._is_gated
 
     @property
     def has_subscribers(self) -> bool:
@@ -299,7 +294,7 @@ class Topic:
             epoch=epoch,
         )
         refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
-        if not self._is_gated:
+        if not self.is_gated:
             self._deliveries.add(self._dispatch, message)
         if refusal is not None:
             raise refusal
@@ -307,12 +302,12 @@ class Topic:
     def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
         """Pass a payload to all subscribers, but to no device."""
         if self._subscribers:
-            self._deliveries.add(self._dispatch, self._message(payload, source, at_s))
+            message = Message(
+                self.name, self.type_name, self.type, payload, source=source, stamp_ns=time.time_ns(), at_s=at_s
+            )
+            self._deliveries.add(self._dispatch, message)
         else:
             self.messages += 1
-
-    def _message(self, payload: bytes, source: Hashable, at_s: float) -> Message:
-        return Message(self.name, self.type_name, self.type, payload, source=source, stamp_ns=time.time_ns(), at_s=at_s)
 
     def _pass_to_devices(self, message: Message) -> HostlinkError | None:
         refusal = None
@@ -368,7 +363,15 @@ class Topic:
     def _latched_messages(self) -> Iterator[Message]:
         for source, payload in list(self.latched.items()):  # a callback may let one of them leave
             if payload is not None:
-                yield self._message(payload, source, asyncio.get_running_loop().time())
+                yield Message(
+                    self.name,
+                    self.type_name,
+                    self.type,
+                    payload,
+                    source=source,
+                    stamp_ns=time.time_ns(),
+                    at_s=asyncio.get_running_loop().time(),
+                )
 
 
 def rank_of(key: Hashable) -> int:

@@ -192,9 +192,10 @@ class TurnReader:
         if self._is_due or self._is_stopped:
             return
         source, share = self._source, self._turns.share
-        if self.rest or source.unread_bytes:
+        unread_bytes = len(self.rest) + source.unread_bytes
+        if unread_bytes:
             self.came_s = self._arrival.arrive(share.came_s(self._now_s()))
-        while (unread_bytes := len(self.rest) + source.unread_bytes) and not self._is_stopped:
+        while unread_bytes and not self._is_stopped:
             if unread_bytes >= READ_BYTES:
                 self._is_flooding = True
             if not share.is_free(is_flooding=self._is_flooding):
@@ -202,6 +203,7 @@ class TurnReader:
                 self._turns.call(self._read_due, is_flooding=self._is_flooding)
                 return
             self._read()
+            unread_bytes = len(self.rest) + source.unread_bytes
         self._is_flooding = False
         self._turns.leave(self._arrival, self._now_s(), is_more=source.is_behind)
         if source.is_ended and not self._is_stopped:
