@@ -91,7 +91,7 @@ class Segment(NamedTuple):
 
 
 class Other(NamedTuple):
-    """What happens beside the commands."""
+    """Event between the commands: a stop, a lock, a flood, a cut connection."""
 
     what: str
 
@@ -238,7 +238,7 @@ def test_zero_among_many_velocities_in_one_segment_reaches_the_gate_in_its_order
 
 @virtual
 async def test_velocity_behind_a_request_that_opens_the_socket_waits_for_the_queue() -> None:
-    """What is read with the handshake may be a part of a frame, so that no later bounds are known."""
+    """Bytes that are read with the handshake may be a part of a frame, so that no later bounds are known."""
     async with api_in_memory() as api:
         peer = api.connect()
         command = text_frame(op="drive", robot=ROBOT, linear=0.1, angular=0.0)

@@ -156,7 +156,7 @@ class _Rosbridge(EntryPoint):
             continue
 
     def receive(self, text: str, came_s: float) -> None:
-        """As from the queue of operations."""
+        """Receive a message as from the queue of operations."""
         self.client.receive(text, came_s)
 
     async def vanish(self) -> None:

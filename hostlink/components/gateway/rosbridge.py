@@ -94,7 +94,7 @@ class _Twist(msgspec.Struct, forbid_unknown_fields=True, frozen=True, gc=False):
 
 
 class _TwistOperation(msgspec.Struct, forbid_unknown_fields=True, tag_field="op", tag="publish"):
-    """A `publish` of a Twist with the fields that clients send. One with other fields goes the way of all messages."""
+    """A `publish` of a Twist with the fields that clients send. A `Request` reads one with other fields."""
 
     topic: str
     msg: _Twist

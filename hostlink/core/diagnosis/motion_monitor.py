@@ -74,8 +74,8 @@ class MotionMonitor:
     """Gatherer of the evidence of one link's odometry."""
 
     __slots__ = (
-        "_at_s", "_command", "_command_at_s", "_compared_s", "_disagreement", "_disagrees_since_s", "_kind", "_now", "_past",
-        "_total", "frame_id", "topic",
+        "_at_s", "_command", "_command_at_s", "_compared_s", "_disagreement", "_disagrees_since_s", "_kind", "_now",
+        "_past", "_total", "frame_id", "topic",
     )  # fmt: skip
 
     def __init__(self) -> None:

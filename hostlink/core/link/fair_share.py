@@ -64,7 +64,7 @@ class FairShare:
     def spend(self, seconds: float) -> None:
         """Subtract computing time from the turn. A turn ends only when it is used up."""
         self._spent_s += seconds
-        if self._spent_s >= TURN_S:
+        if self._spent_s >= TURN_S and not self._is_turn_due:
             self._expect_turn()
 
     def _expect_turn(self) -> None:
@@ -76,6 +76,8 @@ class FairShare:
         """Start a turn: admit as many as are expected to fill it. Calm readers go first while they have time left."""
         self._is_turn_due = False
         self._spent_s = 0.0
+        if not (self._calm or self._flooding):
+            return
         left_s = TURN_S
         if self._owed_s > 0 or not self._flooding:
             left_s = self._admit(self._calm, left_s)

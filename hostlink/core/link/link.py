@@ -227,8 +227,7 @@ class Link:
             self.session.outbox.begin_waiting(now_s)
             return
         try:
-            self._write_frames(now_s)
-            if self.session.outbox.has_waiting:
+            if self._write_frames(now_s):
                 self._expect(now_s)
         except Exception as error:  # noqa: BLE001 - raised by `run`
             self._crash(error)
@@ -405,22 +404,28 @@ class Link:
         else:
             self._expect(now_s)
 
-    def _write_frames(self, now_s: float) -> None:
-        """Write the frames that may be sent now, until the device is behind. Look for a pause of the host before."""
+    def _write_frames(self, now_s: float) -> bool:
+        """Write the frames that may be sent now, until the device is behind. Look for a pause of the host before.
+
+        Return whether frames wait.
+        """
         session = self.session
         outbox = session.outbox
-        outbox.begin_waiting(now_s)
-        while outbox.has_waiting and not self._is_behind:
+        while outbox.has_waiting:
+            if self._is_behind:
+                outbox.begin_waiting(now_s)
+                return True
             wall_ns = self._wall_ns() if outbox.is_time_due else 0
             outgoing = session.pop_frame(now_s=now_s, wall_ns=wall_ns)
             if outgoing is None:  # the device's UART is busy
-                break
+                return True
             if not self._transport.write(outgoing.frame):
                 self._is_behind = True
                 self._helper.start(self._catch_up, self._context.copy())
             if outgoing.waiting_since_s is not None:
                 self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
             self._to_device.add(outgoing.frame, now_s)
+        return False
 
     def _is_settled(self, now_s: float) -> bool:
         """Whether due work may be done.

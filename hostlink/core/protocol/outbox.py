@@ -175,8 +175,10 @@ class Outbox:
 
         `wall_ns` is the time in a time answer. It is not read unless `is_time_due`.
         """
-        if self._new:
-            self.begin_waiting(now_s)
+        if self._new:  # as `begin_waiting`
+            for new in self._new:
+                new.since_s = now_s
+            self._new.clear()
         head = None
         if self.is_stopped or not (self.is_time_due or self._is_request_due):
             head = self._head()

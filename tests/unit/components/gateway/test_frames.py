@@ -1,4 +1,4 @@
-"""Bounds of WebSocket frames, in whatever pieces they are read."""
+"""Bounds of WebSocket frames, in all pieces in which they may be read."""
 
 import itertools
 
@@ -61,7 +61,7 @@ def test_read_of_one_text_message_is_its_payload(size_bytes: int) -> None:
         b"\x81\xfe\x00",
     ],
 )
-def test_every_other_read_is_no_message(data: bytes) -> None:
+def test_any_other_read_has_no_text(data: bytes) -> None:
     assert ClientFrames().text_of(data) is None
 
 
@@ -104,7 +104,7 @@ def test_message_is_found_only_between_the_bounds_of_frames(frames: list[bytes],
             assert client_frame(FINAL_TEXT, text, code=read[1] & 0x7F if read[1] & 0x7F >= 126 else None) == read
 
 
-def test_frame_inside_a_message_of_several_frames_is_no_message() -> None:
+def test_frame_inside_a_message_of_several_frames_has_no_text() -> None:
     reader = ClientFrames()
     reader.skip(client_frame(PART_TEXT, b"part"))
     assert reader.text_of(client_frame(FINAL_TEXT, b"text")) is None

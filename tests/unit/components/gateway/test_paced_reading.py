@@ -465,7 +465,7 @@ async def test_message_with_others_around_it_is_not_offered(scene: Scene) -> Non
 
 @pytest.mark.parametrize("behind", [b"\x81", message(b"early"), message(b"early")[:5]])
 @inside(check)
-async def test_nothing_is_offered_where_bytes_came_with_the_handshake(scene: Scene, behind: bytes) -> None:
+async def test_message_is_not_offered_where_bytes_came_with_the_handshake(scene: Scene, behind: bytes) -> None:
     scene.read(HEAD + behind)
     scene.become_web_socket()
     scene.read(message(b"one"))
@@ -473,7 +473,7 @@ async def test_nothing_is_offered_where_bytes_came_with_the_handshake(scene: Sce
 
 
 @inside(check)
-async def test_nothing_is_offered_when_the_web_socket_has_ended(scene: Scene) -> None:
+async def test_message_is_not_offered_when_the_web_socket_has_ended(scene: Scene) -> None:
     scene.read(HEAD)
     scene.become_web_socket()
     scene.reading.leave_web_socket()

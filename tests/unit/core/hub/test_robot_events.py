@@ -157,7 +157,7 @@ async def test_commands_are_told_before_what_follows_them(made: Scene, end: str)
 
 
 @inside(play)
-async def test_observer_that_leaves_has_every_command_before_and_one_that_comes_none(made: Scene) -> None:
+async def test_observer_that_leaves_has_every_command_before_and_a_later_one_has_none(made: Scene) -> None:
     robot, pilot = made.hub.robots.find(ROBOT), made.hub.join("pilot")
     leaving, coming = made.hub.join("leaving"), list[RobotEvent]()
     events: list[RobotEvent] = []

@@ -102,7 +102,7 @@ async def test_stall_is_noticed_by_the_first_write_after_its_time() -> None:
 
 
 @virtual
-async def test_progress_between_two_looks_is_no_stall() -> None:
+async def test_progress_between_two_looks_ends_no_connection() -> None:
     connection = Connection(StallChecks())
     for number in range(20):
         connection.acknowledged_bytes = number * len(b"velocity")  # all but the newest write
