@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections import deque
 from collections.abc import Callable, Hashable, Mapping
 from enum import Enum
 from typing import Any, NamedTuple
@@ -84,7 +85,8 @@ class RobotEvents:
 
     def __init__(self) -> None:
         self._observers: dict[Hashable, Observe] = {}
-        self._later: list[_Commanded] = []
+        self._later: deque[_Commanded | RobotEvent] = deque()
+        self._is_flushing = False
 
     def observe(self, key: Hashable, receive: Observe) -> None:
         """Call `receive` with each event from now on. A key has one observer."""
@@ -95,7 +97,7 @@ class RobotEvents:
         """Remove the observer of a key. Do nothing if it has none."""
         if key in self._observers:
             self.flush()
-            del self._observers[key]
+            self._observers.pop(key, None)
 
     def note_commanded(
         self, robot: str, command: Command[Any], limited: AnyVelocity, now_s: float, *, is_continued: bool
@@ -106,20 +108,24 @@ class RobotEvents:
             if not is_continued or len(self._later) >= MAX_LATER:
                 self.flush()
 
-    def flush(self) -> None:
-        """Pass the commands that wait to all observers."""
-        later, self._later = self._later, []
-        for robot, at_s, stamp_ns, command, limited in later:
-            facts = facts_of(command) | {"limited": limited}
-            event = RobotEvent(EventKind.COMMANDED, robot, at_s, stamp_ns, facts)
-            for receive in tuple(self._observers.values()):
-                receive(event)
-
     def note(self, kind: EventKind, robot: str, **facts: object) -> None:
-        """Pass an event of this moment to all observers."""
-        if self._later:
-            self.flush()
+        """Pass an event of this moment to all observers, after those that wait."""
         if self._observers:
-            event = RobotEvent(kind, robot, asyncio.get_running_loop().time(), time.time_ns(), facts)
-            for receive in tuple(self._observers.values()):
-                receive(event)
+            self._later.append(RobotEvent(kind, robot, asyncio.get_running_loop().time(), time.time_ns(), facts))
+            self.flush()
+
+    def flush(self) -> None:
+        """Pass what waits to all observers. Events that they cause meanwhile follow in their order."""
+        if self._is_flushing:
+            return
+        self._is_flushing = True
+        try:
+            while self._later:
+                event = self._later.popleft()
+                if isinstance(event, _Commanded):
+                    facts = facts_of(event.command) | {"limited": event.limited}
+                    event = RobotEvent(EventKind.COMMANDED, event.robot, event.at_s, event.stamp_ns, facts)
+                for receive in tuple(self._observers.values()):
+                    receive(event)
+        finally:
+            self._is_flushing = False

@@ -178,3 +178,17 @@ async def test_flood_of_commands_keeps_few_of_them_waiting(made: Scene) -> None:
     for _ in range(MAX_LATER + 2):
         pilot.drive(robot, PlanarVelocity(0.1))
     assert len(events) == MAX_LATER + 1
+
+
+@inside(play)
+async def test_event_that_an_observer_causes_follows_the_commands_that_waited(made: Scene) -> None:
+    robot, pilot = made.hub.robots.find(ROBOT), made.hub.join("pilot")
+    pilot.drive(robot, PlanarVelocity(0.1))
+    stopping = made.hub.join("stopping")
+    stopping.observe(lambda event: robot.stop() if event.facts.get("velocity") == PlanarVelocity(0.2) else None)
+    events = observed(made)
+    pilot.drive(robot, PlanarVelocity(0.2))
+    pilot.drive(robot, PlanarVelocity(0.3))
+    await asyncio.sleep(TICK_S)
+    told = [event.facts.get("velocity", event.kind) for event in events]
+    assert told == [PlanarVelocity(0.2), PlanarVelocity(0.3), EventKind.STOPPED]
