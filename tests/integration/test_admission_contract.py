@@ -38,9 +38,11 @@ HOSTLINK = Path(__file__).parent.parent.parent / "hostlink"
 
 ENTRY_POINTS: list[type[EntryPoint]] = [
     entry_points.RosbridgePublish,
+    entry_points.RosbridgePublishAtOnce,
     entry_points.RosbridgeRaw,
     entry_points.TwistStamped,
     entry_points.RosbridgeDrive,
+    entry_points.RosbridgeDriveAtOnce,
     entry_points.Page,
     entry_points.RestPut,
     entry_points.FoxglovePublish,
@@ -498,7 +500,10 @@ def rows_of(entry_point: type[EntryPoint]) -> list[str]:
 #: What gives velocities in the source, and the entry points here that come that way. A `drive`, `command`, `follow` or
 #: `publish` that is not here is a way by which a robot may be driven without a test.
 SITES: dict[str, tuple[type[EntryPoint], ...]] = {
-    "components/gateway/rosbridge.py: robot.drive": (entry_points.RosbridgeDrive, entry_points.Page),
+    "components/gateway/rosbridge.py: robot.drive": (
+        entry_points.RosbridgeDrive, entry_points.RosbridgeDriveAtOnce, entry_points.Page,
+    ),
+    "components/gateway/rosbridge.py: self.participant.publish_twist": (entry_points.RosbridgePublishAtOnce,),
     "components/gateway/rest.py: robot.drive": (entry_points.RestPut,),
     "components/gateway/rosbridge.py: self.participant.publish": (
         entry_points.RosbridgePublish, entry_points.RosbridgeRaw, entry_points.TwistStamped,
@@ -535,6 +540,8 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "core/hub/participant.py: known.publish": (entry_points.RosbridgePublish,),
     "core/hub/participant.py: robot.command": (entry_points.RosbridgeDrive,),
     "core/hub/robot_handle.py: participant.drive": (entry_points.RosbridgeDrive, entry_points.RestPut),
+    "core/hub/participant.py: target.receive_twist": (entry_points.RosbridgePublishAtOnce,),
+    "core/hub/gates.py: self.receive_twist": (entry_points.RosbridgePublish, entry_points.TwistStamped),
     "core/hub/gates.py: gate.command": (entry_points.RosbridgeDrive,),
     "core/hub/robots_here.py: participant.drive": (entry_points.Fleet,),
     "core/hub/remote_robot.py: self.provision.drive": (entry_points.FleetSender, entry_points.FleetSenderPublish),
@@ -566,7 +573,7 @@ OTHERS = {
 
 #: Components that know the core by `Host` alone, as import rows check: they drive by `Host.drive`.
 BEHIND_HOST = ("components/mqtt/",)
-MAY_DRIVE = ("drive", "command", "follow", "publish")
+MAY_DRIVE = ("drive", "command", "follow", "publish", "publish_twist", "receive_twist")
 
 
 def calls_that_may_drive() -> set[str]:

@@ -153,9 +153,13 @@ class _Rosbridge(EntryPoint):
         self.client = RosbridgeClient("client 1", host_in(made.hub), self.queue, spawn=made.tasks.create_task)
 
     def send(self, **request: Any) -> None:
-        self.client.receive(json.dumps(request), _now_s() - self.late_s)
+        self.receive(json.dumps(request), _now_s() - self.late_s)
         for _ in iter(self.queue.pop, None):
             continue
+
+    def receive(self, text: str, came_s: float) -> None:
+        """Receive a message as from the queue of operations."""
+        self.client.receive(text, came_s)
 
     async def vanish(self) -> None:
         self.client.close()
@@ -195,16 +199,37 @@ class RosbridgeDrive(_Rosbridge):
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         sent_s = 1000.0 + _now_s() - self.late_s
-        self.client.receive(
+        self.receive(
             json.dumps(
                 {"op": "drive", "id": 1, "robot": ROBOT, "linear": speed_m_s, "angular": 0.0, "sent_s": sent_s}
                 | ({"linear_y": left_m_s} if left_m_s else {})
                 | ({"take_over": True} if self.take_over else {})
                 | ({} if epoch is None else {"epoch": epoch})
-            )
+            ),
+            _now_s(),
         )
         for _ in iter(self.queue.pop, None):
             continue
+
+
+class RosbridgePublishAtOnce(RosbridgePublish):
+    """A Twist that arrives alone."""
+
+    def receive(self, text: str, came_s: float) -> None:
+        _at_once(self.client, text, came_s)
+
+
+class RosbridgeDriveAtOnce(RosbridgeDrive):
+    """A `drive` that arrives alone."""
+
+    def receive(self, text: str, came_s: float) -> None:
+        _at_once(self.client, text, came_s)
+
+
+def _at_once(client: RosbridgeClient, text: str, came_s: float) -> None:
+    """Execute a velocity as in the turn of its read; what is not one, or not for a robot here, as from the queue."""
+    if not client.take(text.encode(), came_s):
+        client.receive(text, came_s)
 
 
 class Page(_Rosbridge):

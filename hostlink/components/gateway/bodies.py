@@ -56,9 +56,14 @@ def convert_velocity(fields: Mapping[str, Any], type_: type[Body], operation: st
             raise BadRequest(f"{operation}: {twice} are one number: send one of them")
         fields = named
     found = convert_fields(fields, type_, operation)
-    if _NUMBERS.isdisjoint(fields):
+    if not has_velocity(fields):
         raise BadRequest(f"{operation}: linear (m/s) or angular (rad/s) is missing")
     return found
+
+
+def has_velocity(fields: Mapping[str, Any]) -> bool:
+    """Whether fields have a number of a velocity."""
+    return not _NUMBERS.isdisjoint(fields)
 
 
 def whole_number(text: str, max_digits: int) -> int | None:

@@ -58,6 +58,9 @@ class ClientProgram(Protocol[Content]):
     def calls(self) -> int:
         """Number of pending service calls. A call begins in the turn of the loop after `do`."""
 
+    def take(self, data: bytes, came_s: float) -> bool:
+        """Execute a message if it is a plain velocity. Otherwise do nothing and return False."""
+
     def read(self, data: str | bytes, came_s: float) -> Operation[Content]:
         """Decode a message."""
 
@@ -106,11 +109,24 @@ class OperationQueue(Generic[Content]):
         self._credit_at_s = float("-inf")
         self.debt_s = 0.0  # time for which the client must be silent to be within its message rate again
 
+    def take(self, data: bytes, came_s: float, now_s: float) -> bool:
+        """Execute a message at once, if nothing waits and it is a plain velocity. Return whether it was executed."""
+        credit = self._credit_after(now_s)
+        if self.waiting or credit < 0 or not self._program.take(data, came_s):
+            return False
+        self._credit, self._credit_at_s = credit, now_s
+        self._came_s = came_s
+        self._resumption.is_recent(came_s)
+        return True
+
+    def _credit_after(self, now_s: float) -> float:
+        """Return the credit that one more message leaves."""
+        credit = self._credit + (now_s - self._credit_at_s) * self._messages_s
+        return (credit if credit < self._messages_s else self._messages_s) - 1
+
     def put(self, data: str | bytes, came_s: float, now_s: float, *, is_behind: bool = False) -> None:
         """Add a message. `is_behind`: it was read together with the one before it, and may be as old."""
-        credit = self._credit + (now_s - self._credit_at_s) * self._messages_s
-        self._credit = (credit if credit < self._messages_s else self._messages_s) - 1
-        self._credit_at_s = now_s
+        self._credit, self._credit_at_s = self._credit_after(now_s), now_s
         self.debt_s = -self._credit / self._messages_s if self._credit < 0 else 0.0
         if self._came_s is None or not is_behind:
             self._came_s = came_s

@@ -543,6 +543,10 @@ class FoxgloveClient:
         """Execute one message of the client. An error becomes a status and is never raised."""
         self.do(self.read(data, loop_time_s()))
 
+    def take(self, data: bytes, came_s: float) -> bool:  # noqa: ARG002 - its velocities are binary messages
+        """Return False: no text message of the protocol is a velocity."""
+        return False
+
     def read(self, data: str | bytes, came_s: float) -> Operation[_Received]:
         """Decode a message. An error is returned as the content, and sent to the client by `do`."""
         try:

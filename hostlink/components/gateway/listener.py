@@ -12,6 +12,7 @@ from typing import cast
 import structlog
 from aiohttp import web
 
+from hostlink.components.gateway.frames import ClientFrames
 from hostlink.core.config import ApiConfig
 from hostlink.core.host import Host
 from hostlink.core.runtime.acceptor import Acceptor
@@ -133,6 +134,7 @@ class ApiConnections:
 REQUEST_BYTES = 2 * READ_BYTES  # in one read, while the connection speaks HTTP
 SOCKET_BYTES = 64 * 1024  # in one read of a WebSocket, within a message that is larger than READ_BYTES
 CONTROL_FRAME_BYTES = 6  # of a client's ping or pong, without payload
+HEAD_END = b"\r\n\r\n"  # of a request
 LARGE_BYTES = SOCKET_BYTES  # a larger message needs room in the byte budget before it is read
 
 # Nothing drops, replaces or counts messages behind a client's queue: little fits there.
@@ -150,7 +152,8 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
     | HTTP        | one piece in each turn (FairShare); not the rest of a body that no handler reads (`refuse_body`)   |
     | WebSocket   | one piece in each turn, passed on at once, because a newer command may be behind it; nothing while |
     |             | the client's operations have no room (`pause`). The rest of a large message is read in large       |
-    |             | pieces, and waits in the socket until the byte budget has room for it                              |
+    |             | pieces, and waits in the socket until the byte budget has room for it. A read that is one whole    |
+    |             | text message is offered to `on_message` first, while nothing waits inside                          |
     """
 
     def __init__(
@@ -185,6 +188,9 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._is_full = False  # whether the operations of the client have no room
         self._is_last_request = False  # whether bytes were passed on while the transport was closing
         self._on_read = self._on_full = self._on_writable = _call_nothing  # callbacks of the WebSocket's owner
+        self._on_message: Callable[[bytes], bool] = _take_nothing
+        self._frames = ClientFrames()
+        self._http_end = b""  # the last bytes that were passed on before it became a WebSocket
         self._deadline: asyncio.TimerHandle | None = None
 
     # -- what the API says --------------------------------------------------------------------------------------------
@@ -215,12 +221,18 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._is_refusing = True
 
     def become_web_socket(
-        self, *, on_read: Callable[[], None], on_full: Callable[[], None], on_writable: Callable[[], None]
+        self,
+        *,
+        on_message: Callable[[bytes], bool],
+        on_read: Callable[[], None],
+        on_full: Callable[[], None],
+        on_writable: Callable[[], None],
     ) -> None:
         """Switch to reading messages. `on_read` is called after each read.
 
-        `on_full` is called when the transport has kept bytes that the system did not take, `on_writable` when it has
-        sent them.
+        `on_message` gets the text of a read that is one whole message, if nothing that was read before waits. It
+        returns False to leave the message to the protocol inside; then `on_read` is called. `on_full` is called when
+        the transport has kept bytes that the system did not take, `on_writable` when it has sent them.
         """
         self._is_web_socket = True
         self.transport.set_write_buffer_limits(0)
@@ -229,10 +241,13 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         if hasattr(socket, "TCP_NOTSENT_LOWAT"):  # Linux and macOS
             tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
         self._on_read, self._on_full, self._on_writable = on_read, on_full, on_writable
+        if self._http_end == HEAD_END:  # otherwise a part of a frame may have been passed on behind the request
+            self._on_message = on_message
 
     def leave_web_socket(self) -> None:
         """Remove the callbacks of the WebSocket."""
         self._on_read = self._on_full = self._on_writable = _call_nothing
+        self._on_message = _take_nothing
 
     def pause(self) -> None:
         """Leave what arrives in the socket until `resume`: the operations of the client have no room."""
@@ -281,7 +296,13 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         if self._held or self._is_refusing:
             self._hold(data)
         elif self._is_web_socket:
-            self._receive(data)
+            if (
+                is_full
+                or self.unread_bytes
+                or (text := self._frames.text_of(data)) is None
+                or not self._on_message(text)
+            ):
+                self._receive(data)
         elif nbytes < READ_BYTES and self._turns.share.is_free(is_flooding=False):
             self._pass_on(data)
         else:
@@ -332,6 +353,10 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
 
     def _pass_on(self, data: bytes) -> None:
         began_s = self._loop.time()
+        if self._is_web_socket:
+            self._frames.skip(data)
+        else:
+            self._http_end = (self._http_end + data)[-len(HEAD_END) :]
         self._inner.data_received(data)
         self._turns.end(began_s)
 
@@ -345,6 +370,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
                 return
             self.has_room = True
             self._deadline = self._loop.call_later(self._timeout_s, self.transport.abort)
+        self._frames.skip(data)
         self._inner.data_received(data)
         self._on_read()
 
@@ -370,6 +396,11 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
 
 def _call_nothing() -> None:
     """Replace the callbacks of a connection that is not a WebSocket."""
+
+
+def _take_nothing(_: bytes) -> bool:
+    """Leave every message to the protocol inside."""
+    return False
 
 
 log = structlog.get_logger()

@@ -9,7 +9,7 @@ import reprlib
 import struct
 import time
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ import cbor2
 import msgspec
 import structlog
 
-from hostlink.components.gateway.bodies import convert_velocity, size_bytes_of
+from hostlink.components.gateway.bodies import convert_velocity, has_velocity, size_bytes_of
 from hostlink.components.gateway.clients import (
     NOT_A_VELOCITY,
     ClientQueue,
@@ -53,6 +53,7 @@ from hostlink.core.messages.fields import SCALAR
 from hostlink.core.messages.message_type import MessageType, ServiceType
 from hostlink.core.robot.admission import EARLIER_EPOCH
 from hostlink.core.robot.state import MAX_PRIORITY
+from hostlink.core.robot.velocity import TWIST_TYPE, Twist
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.logs import printable
 from hostlink.core.runtime.rate_limit import REFUSED_VELOCITIES_S, RateLimit
@@ -62,7 +63,7 @@ MAX_REASON = 120  # characters of why a program stops; longer ones are cut
 MAX_TEXT = 1024  # characters of a name or an id; roslib's longest ids are a name and 50 more
 
 
-class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
+class DriveOperation(msgspec.Struct, forbid_unknown_fields=True, tag_field="op", tag="drive"):
     """Fields of the operation `drive`: m/s and rad/s, counter-clockwise positive; `linear_y` is to the left.
 
     Only programs that send commands by themselves need the fields from `sent_s` on.
@@ -80,8 +81,37 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
     stops: int | None = None  # synonym of `epoch`
     link: int | None = None  # number of the device's connection; for another number the epoch counts as an earlier one
     reason: str = ""  # of a zero: why the program drives no more
-    op: str = "drive"
     id: object = None
+
+    @property
+    def velocity(self) -> PlanarVelocity:
+        """The velocity, without the components that make it not planar."""
+        return PlanarVelocity(self.linear, self.linear_y, self.angular)
+
+
+class _Vector(msgspec.Struct, forbid_unknown_fields=True, frozen=True, gc=False):
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+
+class _Twist(msgspec.Struct, forbid_unknown_fields=True, frozen=True, gc=False):
+    linear: _Vector = _Vector()
+    angular: _Vector = _Vector()
+
+
+class _TwistOperation(msgspec.Struct, forbid_unknown_fields=True, tag_field="op", tag="publish"):
+    """A `publish` of a Twist with the fields that clients send. A `Request` reads one with other fields."""
+
+    topic: str
+    msg: _Twist
+    type: str = ""
+    priority: int = PROGRAM_PRIORITY
+    latch: bool = False
+    id: object = None
+
+
+_PLAIN_VELOCITY = msgspec.json.Decoder(DriveOperation | _TwistOperation)
 
 
 class Request:
@@ -553,6 +583,10 @@ class ClientTopics:
         if not is_known and request.fields.get("type"):
             self.advertise(request)
 
+    def has_advertised(self, topic: str) -> bool:
+        """Whether the client has advertised a topic."""
+        return resolve(topic) in self._ids
+
     def unadvertise(self, request: Request) -> None:
         """Withdraw one id, or without an id the whole topic. An unknown id is ignored."""
         name = resolve(request.text("topic"))
@@ -653,6 +687,13 @@ class ClientServices:
 MAX_ANSWERS = 64  # calls of one client that wait for another daemon
 
 
+class Asked(NamedTuple):
+    """The id of a `drive`, and the ids of those that it replaced."""
+
+    id: object
+    replaced: Sequence[object]
+
+
 class DriveCommands:
     """Velocity commands of one client. Each is answered, so that the client learns of a refusal at once.
 
@@ -667,13 +708,23 @@ class DriveCommands:
 
     def receive(self, request: Request) -> None:
         """Execute a `drive`. The answer is also sent for each operation that it replaced."""
-        robot: RobotHandle | None = None
+        replaced = [each.fields.get("id") for each in request.replaced]
         try:
             self._participant.check(Role.DRIVE, "drive")
             wanted = request.drive_operation()
+        except HostlinkError as error:
+            self._refuse(Asked(request.fields.get("id"), replaced), None, error)
+            return
+        self.execute(wanted, request.came_s, replaced)
+
+    def execute(self, wanted: DriveOperation, came_s: float | None, replaced: Sequence[object] = ()) -> None:
+        """Execute a decoded `drive`. `replaced`: the ids of those that it replaced."""
+        asked = Asked(wanted.id, replaced)
+        robot: RobotHandle | None = None
+        try:
             if not 0 <= wanted.priority <= MAX_PRIORITY:
                 raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
-            velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
+            velocity = wanted.velocity
             is_zero = velocity.is_zero and wanted.is_planar
             robot = self._host.find(wanted.robot, driver=None if is_zero else lambda: self._participant)
             epoch = wanted.stops if wanted.epoch is None else wanted.epoch
@@ -684,34 +735,34 @@ class DriveCommands:
                 self._participant,
                 velocity,
                 priority=wanted.priority,
-                received_s=request.came_s,
+                received_s=came_s,
                 sent_s=wanted.sent_s,
                 epoch=epoch,
                 is_planar=wanted.is_planar,
                 take_over=wanted.take_over,
-                reason=printable(wanted.reason, MAX_REASON),
+                reason=printable(wanted.reason, MAX_REASON) if wanted.reason else "",
             )
         except HostlinkError as error:
-            self._refuse(request, robot, error)
+            self._refuse(asked, robot, error)
             return
         answer = robot.answer(self._participant) if self._waiting < MAX_ANSWERS else None
         if answer is None:
-            self._accept(request, robot, velocity, limited)
+            self._accept(asked, robot, velocity, limited)
         else:
             self._waiting += 1
-            self._spawn(self._wait(request, robot, velocity, answer))
+            self._spawn(self._wait(asked, robot, velocity, answer))
 
     async def _wait(
-        self, request: Request, robot: RobotHandle, velocity: PlanarVelocity, answer: Awaitable[PlanarVelocity]
+        self, asked: Asked, robot: RobotHandle, velocity: PlanarVelocity, answer: Awaitable[PlanarVelocity]
     ) -> None:
         try:
-            self._accept(request, robot, velocity, await answer)
+            self._accept(asked, robot, velocity, await answer)
         except HostlinkError as error:
-            self._refuse(request, robot, error)
+            self._refuse(asked, robot, error)
         finally:
             self._waiting -= 1
 
-    def _accept(self, request: Request, robot: RobotHandle, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
+    def _accept(self, asked: Asked, robot: RobotHandle, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
         answer: dict[str, object] = {
             "op": "drive_result",
             "result": True,
@@ -719,20 +770,20 @@ class DriveCommands:
             "stops": robot.epoch,
             "client": self._participant.name,
         }
-        self._put(request, answer | velocity_answer(robot, velocity, limited))
+        self._put(asked, answer | velocity_answer(robot, velocity, limited))
 
-    def _refuse(self, request: Request, robot: RobotHandle | None, error: HostlinkError) -> None:
+    def _refuse(self, asked: Asked, robot: RobotHandle | None, error: HostlinkError) -> None:
         answer: dict[str, object] = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
         if isinstance(error, CommandRefused) and robot is not None:
             answer["epoch"] = robot.epoch
             answer["holder"] = None if error.holder is None else str(error.holder)
             answer["by"] = error.by
-        self._put(request, answer)
+        self._put(asked, answer)
 
-    def _put(self, request: Request, answer: dict[str, object]) -> None:
-        for replaced in request.replaced:
-            put_json(self._queue, answer | {"id": replaced.fields.get("id"), "is_replaced": True})
-        answer["id"] = request.fields.get("id")
+    def _put(self, asked: Asked, answer: dict[str, object]) -> None:
+        for replaced in asked.replaced:
+            put_json(self._queue, answer | {"id": replaced, "is_replaced": True})
+        answer["id"] = asked.id
         self._queue.put_result(Outgoing(msgspec.json.encode(answer)))
 
 
@@ -860,6 +911,38 @@ class RosbridgeClient:
         """Execute one message of the client. An error becomes a status and is never raised."""
         self.do(self.read(text, asyncio.get_running_loop().time() if came_s is None else came_s))
 
+    def take(self, data: bytes, came_s: float) -> bool:
+        """Execute a message at once if it is a velocity without a peculiarity. Otherwise do nothing and return False.
+
+        It is decoded once, and a Twist is not encoded in between. What it cannot decode or refuses is left to `read`
+        and `do`, whose decision about a velocity is the same.
+        """
+        try:
+            wanted = _PLAIN_VELOCITY.decode(data)
+        except (msgspec.DecodeError, UnicodeError, RecursionError):
+            return False
+        if self.participant.has_left or self.participant.role < Role.DRIVE:
+            return False
+        if isinstance(wanted, _TwistOperation):
+            return self._take_twist(wanted, came_s)
+        if not any(wanted.velocity) and not has_velocity(msgspec.json.decode(data)):
+            return False
+        self._drive.execute(wanted, came_s)
+        return True
+
+    def _take_twist(self, wanted: _TwistOperation, came_s: float) -> bool:
+        topic, linear, angular = wanted.topic, wanted.msg.linear, wanted.msg.angular
+        is_plain = 0 < len(topic) <= MAX_TEXT and 0 <= wanted.priority <= MAX_PRIORITY and not wanted.latch
+        is_known = not wanted.type or (wanted.type == TWIST_TYPE and self._topics.has_advertised(topic))
+        if not (is_plain and is_known):
+            return False
+        twist = Twist(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+        try:
+            return self.participant.publish_twist(topic, twist, priority=wanted.priority, at_s=came_s)
+        except HostlinkError as error:
+            self._put_error(error, wanted.id, topic)
+            return True
+
     def read(self, data: str | bytes, came_s: float) -> Operation[Request | BadRequest]:
         """Decode a message. An error is returned as the content, and sent to the client by `do`."""
         try:
@@ -888,7 +971,9 @@ class RosbridgeClient:
             self.participant.check(Role.READ if request.op in _FOR_READERS else Role.DRIVE, request.op)
             act(request)
         except HostlinkError as error:
-            self._put_error(error, request)
+            self._put_error(
+                error, request.fields.get("id"), request.fields.get("topic") if request.op == "publish" else None
+            )
 
     def flush(self, now_s: float) -> float | None:
         """Queue messages that throttled subscriptions hold back. Return when the next one is due."""
@@ -974,8 +1059,8 @@ class RosbridgeClient:
         if self._status_from is not None and self._status_from <= _WARNING:
             put_json(self._queue, {"op": "status", "level": "warning", "msg": text})
 
-    def _put_error(self, error: HostlinkError, request: Request | None = None) -> None:
-        """Send an error as a status, if the client has asked for it.
+    def _put_error(self, error: HostlinkError, request_id: object = None, published: object = None) -> None:
+        """Send an error as a status, if the client has asked for it. `published`: the topic of a `publish`.
 
         rosbridge's document has "error" as the default level, but its own clients log an exception for each status.
         A client that has set no level receives only statuses of refused velocities, at a limited rate, and none if it
@@ -983,11 +1068,10 @@ class RosbridgeClient:
         """
         log.debug("client.refused", client=self.participant.name, reason=str(error))
         level = self._status_from
-        is_shown = self._is_shown_velocity(error, request) if level is None else level <= _ERROR
+        is_shown = self._is_shown_velocity(error, published) if level is None else level <= _ERROR
         if not is_shown:
             return
         status = {"op": "status", "level": "error", "msg": str(error), "kind": error.kind}
-        request_id = None if request is None else request.fields.get("id")
         if isinstance(request_id, str | int | float):
             status["id"] = str(request_id)
         put_json(self._queue, status)
@@ -999,12 +1083,11 @@ class RosbridgeClient:
             status = {"op": "status", "level": "error", "msg": dropped_text(counts), "kind": "TooSlow"}
             put_json(self._queue, status)
 
-    def _is_shown_velocity(self, error: HostlinkError, request: Request | None) -> bool:
+    def _is_shown_velocity(self, error: HostlinkError, published: object) -> bool:
         """Whether the error refuses a published velocity, and the rate limit of its topic and kind admits a status."""
         if not self._reads_status:
             return False
-        name = request.fields.get("topic") if request is not None and request.op == "publish" else None
-        topic = self._host.graph.velocity_topic(name) if isinstance(name, str) else None
+        topic = self._host.graph.velocity_topic(published) if isinstance(published, str) else None
         if topic is None:
             return False
         return self._refused_velocities.allows((topic.name, error.kind), asyncio.get_running_loop().time())

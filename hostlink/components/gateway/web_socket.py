@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import contextvars
-import struct
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
@@ -13,6 +12,7 @@ import structlog
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from hostlink.components.gateway.clients import Client, ClientProgram, ClientQueue, OperationQueue
+from hostlink.components.gateway.frames import PING, PONG, control_frame, frame_head
 from hostlink.components.gateway.listener import PacedReading
 from hostlink.components.gateway.write_pace import WritePace
 from hostlink.core.host import Host
@@ -28,16 +28,14 @@ READY_TIMEOUT_S = 1.0  # for the answer to the first ping; after that messages a
 SEND_BATCH = 64  # messages in one write
 CLOSING = (WSMsgType.CLOSE, WSMsgType.CLOSING, WSMsgType.CLOSED)
 
-_FINAL_TEXT, _FINAL_BINARY, _PING, _PONG = 0x81, 0x82, 0x89, 0x8A  # first bytes of a frame: RFC 6455, 5.2
-_MAX_SHORT, _MAX_MEDIUM = 125, 0xFFFF  # largest payloads whose length takes one byte and two bytes
-
 
 class ClientSocket:
     """The WebSocket of one client: a task that receives, and callbacks of the event loop that execute and send.
 
     | turn of the loop | what happens                                                                                  |
     |------------------|-----------------------------------------------------------------------------------------------|
-    | bytes are read   | PacedReading passes them to aiohttp, which decodes the messages                               |
+    | bytes are read   | a velocity that arrives alone is executed at once, and answered (`_take`);                    |
+    |                  | PacedReading passes all other bytes to aiohttp, which decodes the messages                    |
     | the next one     | `receive` queues all; `_work` executes them, and writes velocities and answers at once        |
     | a device's bytes | the hub queues messages                                                                       |
     | the next one     | `_send` writes all of them at once                                                            |
@@ -86,7 +84,12 @@ class ClientSocket:
         self._pong_timer: asyncio.TimerHandle | None = None
         self._alive_timer: asyncio.TimerHandle | None = None
         queue.on_news = self._note_news
-        reading.become_web_socket(on_read=self._expect_work, on_full=self._note_full, on_writable=self._note_writable)
+        reading.become_web_socket(
+            on_message=self._take,
+            on_read=self._expect_work,
+            on_full=self._note_full,
+            on_writable=self._note_writable,
+        )
 
     # -- from the client ----------------------------------------------------------------------------------------------
 
@@ -160,6 +163,35 @@ class ClientSocket:
         reason = f"more than {self._max_messages_s:g} messages a second"
         await self._socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason.encode(), drain=False)
 
+    def _take(self, text: bytes) -> bool:
+        """Execute a message that was read alone, if it is a velocity and nothing waits. Return whether it was."""
+        operations, turns = self._operations, self._turns
+        if (
+            self._is_work_due
+            or self._is_ended
+            or self._socket.closed
+            or not self._queue.has_room
+            or not turns.share.is_free()
+        ):
+            return False
+        began_s, is_send_due = self._loop.time(), self._is_send_due
+        self._is_send_due = True  # the answer is sent below
+        self._host.hold_writes()
+        try:
+            is_taken = self._context.run(operations.take, text, self._reading.came_s, began_s)
+        except Exception as error:  # noqa: BLE001 - raised in the client's task group
+            self._fail(error)
+            return True
+        finally:
+            self._host.write_held()
+            self._is_send_due = is_send_due
+        if is_taken:
+            turns.end(began_s)
+            self._client.messages_from_client += 1
+            if not is_send_due and (self._queue.waiting_messages or self._queue.is_flush_due):
+                self._send()
+        return is_taken
+
     # -- its turns ----------------------------------------------------------------------------------------------------
 
     def _expect_work(self) -> None:
@@ -225,7 +257,7 @@ class ClientSocket:
         now_s = self._loop.time()
         if self._pong is not None:
             pong, self._pong = self._pong, None
-            self._transport.write(_control_frame(_PONG, pong))
+            self._transport.write(control_frame(PONG, pong))
         if not self._is_ready or self._reading.is_writing_paused:
             return
         if queue.is_too_slow or queue.is_closed:
@@ -249,7 +281,7 @@ class ClientSocket:
             if not count:
                 return
             if self._operations.has_room and (ping := self._pace.ask(now_s)):  # otherwise no pong is read
-                pieces.append(_control_frame(_PING, ping))
+                pieces.append(control_frame(PING, ping))
                 self._pong_timer = self._loop.call_later(SEND_TIMEOUT_S, self._miss_pong)
             self._client.messages_to_client += count
             self._client.bytes_to_client += size_bytes
@@ -323,7 +355,7 @@ class ClientSocket:
             self._fail(TimeoutError("it answers no ping"))
         else:
             if not self._reading.is_writing_paused:  # otherwise it is known to be stuck
-                self._transport.write(_control_frame(_PING, b""))
+                self._transport.write(control_frame(PING, b""))
             self._watch_silence(reads, is_pinged=True)
 
     # -- its end ------------------------------------------------------------------------------------------------------
@@ -351,20 +383,6 @@ class ClientSocket:
 
 async def _raise(error: Exception) -> None:
     raise error
-
-
-def frame_head(size_bytes: int, *, is_binary: bool) -> bytes:
-    """Encode the head of a server's frame: a whole message, unmasked, not compressed."""
-    first = _FINAL_BINARY if is_binary else _FINAL_TEXT
-    if size_bytes <= _MAX_SHORT:
-        return bytes((first, size_bytes))
-    if size_bytes <= _MAX_MEDIUM:
-        return struct.pack("!BBH", first, 126, size_bytes)
-    return struct.pack("!BBQ", first, 127, size_bytes)
-
-
-def _control_frame(first: int, payload: bytes) -> bytes:
-    return bytes((first, len(payload))) + payload
 
 
 async def close_going_away(socket: web.WebSocketResponse, timeout_s: float) -> None:

@@ -26,6 +26,7 @@ OPPOSITE_SHARE = 0.5  # of the command, in the other direction
 TOO_FAST_FACTOR = 2.5  # a float32 in cm/s, ticks/s or degrees is farther off
 STILL_SHARE = 0.02  # of the command: the odometry does not change
 OPPOSITE_S, STILL_S = 2.0, 5.0  # of one command; a heavy robot has begun to move by then
+COMPARE_S = 0.25  # between two comparisons for the same command: the motion of each pose need not be estimated
 
 
 class Speed(NamedTuple):
@@ -73,8 +74,8 @@ class MotionMonitor:
     """Gatherer of the evidence of one link's odometry."""
 
     __slots__ = (
-        "_at_s", "_command", "_command_at_s", "_disagreement", "_disagrees_since_s", "_kind", "_now", "_past",
-        "_total", "frame_id", "topic",
+        "_at_s", "_command", "_command_at_s", "_compared_s", "_disagreement", "_disagrees_since_s", "_kind", "_now",
+        "_past", "_total", "frame_id", "topic",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -84,7 +85,7 @@ class MotionMonitor:
         self._now: Counter[str] = Counter()  # since the last bucket
         self._past: deque[tuple[float, Counter[str]]] = deque()
         self._at_s = 0.0
-        self._command, self._command_at_s = Speed(), 0.0
+        self._command, self._command_at_s, self._compared_s = Speed(), 0.0, float("-inf")
         self._kind, self._disagrees_since_s = "", 0.0
         self._disagreement = ("", float("-inf"))
 
@@ -99,11 +100,16 @@ class MotionMonitor:
         if is_jump:
             self._now[_JUMPS] += 1
 
+    def is_due(self, commanded: Speed, now_s: float) -> bool:
+        """Whether the command must be compared: it is another one, or was compared COMPARE_S ago."""
+        return now_s >= self._compared_s + COMPARE_S or not _is_same(commanded, self._command)
+
     def compare(self, commanded: Speed, measured: Speed, now_s: float) -> None:
         """Compare the velocity that the device was sent with the one that it reports.
 
         Only a command that stays the same for seconds is judged: a robot follows with a delay of its own.
         """
+        self._compared_s = now_s
         if not _is_same(commanded, self._command):
             self._command, self._command_at_s, self._kind = commanded, now_s, ""
             return
@@ -140,6 +146,8 @@ _STILL = "the odometry does not change"
 
 
 def _is_same(one: Speed, other: Speed) -> bool:
+    if one == other:
+        return True
     return all(abs(a - b) <= SAME_COMMAND * max(abs(a), abs(b)) for a, b in zip(one, other, strict=True))
 
 

@@ -548,7 +548,7 @@ class Device:
                 send = partial(self._send_pose, info)
             subscription = DeviceSubscription(send, is_gate=False, is_command=is_reset)
         else:
-            subscription = DeviceSubscription(drivable.receive, is_gate=True)
+            subscription = DeviceSubscription(drivable.receive, is_gate=True, target=drivable)
         topic = self._hub.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
         if drivable is not None:
             drivable.echoes[topic.name] = Echo(topic, output)

@@ -16,9 +16,8 @@ import structlog
 
 from hostlink.core.hub.isolation import Isolation
 from hostlink.core.hub.message import Message
-from hostlink.core.hub.node import address_of
 from hostlink.core.hub.providers import Providers
-from hostlink.core.hub.robot_events import RobotEvents
+from hostlink.core.hub.robot_events import RobotEvents, facts_of
 from hostlink.core.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.core.hub.topic import Topic
 from hostlink.core.link.link import Link
@@ -39,6 +38,7 @@ from hostlink.core.robot.events import (
 from hostlink.core.robot.model import STOP_SERVICE_TYPES
 from hostlink.core.robot.velocity import ZERO, AnyVelocity, PlanarVelocity, Twist
 from hostlink.core.robot.velocity_gate import EndedLease, V, VelocityGate
+from hostlink.core.runtime.arrival import SETTLE_S
 from hostlink.core.runtime.host_pauses import HostPauses
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -156,14 +156,29 @@ class VelocityTarget(ABC):
         """
         twist, stamp_ns = self.decode(message)
         stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
+        self.receive_twist(
+            twist, message.source, message.priority, message.at_s, epoch=message.epoch, stamp_age_s=stamp_age_s
+        )
+
+    def receive_twist(
+        self,
+        twist: Twist,
+        source: Hashable,
+        priority: int,
+        received_s: float,
+        *,
+        epoch: int | None = None,
+        stamp_age_s: float | None = None,
+    ) -> None:
+        """Receive a published Twist as a command; as `receive`. The arguments are those of a `Command`."""
         is_spatial = self.admission.drive is None
         velocity: PlanarVelocity | Twist = twist if is_spatial else twist.planar
         command: Command[Any] = Command(
             velocity,
-            message.source,
-            message.priority,
-            message.at_s,
-            epoch=message.epoch,
+            source,
+            priority,
+            received_s,
+            epoch=epoch,
             stamp_age_s=stamp_age_s,
             is_planar=is_spatial or twist.is_planar,
         )
@@ -285,6 +300,7 @@ class Gates:
         self._active: dict[Drivable, None] = {}  # drivables whose gate may have a velocity to send
         self._wake = asyncio.Event()
         self._stalls = StallWatch(slept_s)
+        self._noticed_s = float("-inf")  # when it was last looked for a pause
         self._unwritten: dict[Link, None] | None = None  # links with a velocity, between `hold` and `write`
 
     # -- which there are ----------------------------------------------------------------------------------------------
@@ -361,14 +377,14 @@ class Gates:
         """Drive a device here; as `VelocityTarget.command`."""
         gate: VelocityGate[V] = drivable.gate
         velocity, owner = command.velocity, command.source
-        facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
+        is_zero = velocity.is_zero
         try:
             now_s = asyncio.get_running_loop().time()
             command = self.timed(drivable.name, command, now_s)
-            if drivable.no_stop and not velocity.is_zero:
+            if not is_zero and drivable.no_stop:
                 raise CommandRefused(drivable.name, RefusalKind.NOT_CONNECTED, f"{drivable.name}: {drivable.no_stop}")
             # Two zeros at the same time would become one frame on a slow line.
-            is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
+            is_stopping = is_zero and gate.is_stopping and drivable.refusals.cause is None
             driver = gate.owner
             limited = gate.command(command, now_s=now_s)
             ended = gate.pop_ended()
@@ -384,13 +400,14 @@ class Gates:
         except HostlinkError as error:
             if gate.driver is not None and gate.admission.driver(gate, loop_time_s()) is None:
                 self._step(drivable, loop_time_s(), is_news=True)  # the command has ended the drive of its source
-            if not (velocity.is_zero and command.is_planar):
-                self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
+            if not (is_zero and command.is_planar):
+                self.events.note(EventKind.REFUSED, drivable.name, **facts_of(command), reason=str(error))
             raise
         connection = drivable.connection
-        if connection is not None and len(connection.drivables) > 1 and not velocity.is_zero:
+        if connection is not None and len(connection.drivables) > 1 and not is_zero:
             self._overrule(connection.drivables, drivable)
-        self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
+        is_continued = driver is owner and ended is None and not is_zero
+        self.events.note_commanded(drivable.name, command, limited, now_s, is_continued=is_continued)
         return limited
 
     def hold(self) -> None:
@@ -399,9 +416,13 @@ class Gates:
 
     def write(self) -> None:
         """Write the velocities since `hold`: the newest of each topic."""
-        links, self._unwritten = self._unwritten or {}, None
-        for link in links:
-            link.write_now()
+        links, self._unwritten = self._unwritten, None
+        if links:
+            now_s = asyncio.get_running_loop().time()
+            if now_s >= self._noticed_s + SETTLE_S:  # otherwise a command of this turn has looked for a pause
+                self._notice_pause(now_s)
+            for link in links:
+                link.write_now(now_s)
 
     def timed(self, name: str, command: Command[V], now_s: float) -> Command[V]:
         """Return the command with the earliest time of its arrival: it may have waited while the loop was late.
@@ -423,7 +444,7 @@ class Gates:
 
     def _notice_pause(self, now_s: float) -> None:
         """Interrupt every robot, here or of another daemon, if this process has just resumed after a pause."""
-        since_s = self._stalls.pop_pause(now_s)
+        since_s, self._noticed_s = self._stalls.pop_pause(now_s), now_s
         if since_s is not None:
             for admission in tuple(self._admissions):  # also of a robot at rest: its sources may be disarmed
                 admission.interrupt(now_s, since_s=since_s, came_s=since_s, by="a pause of hostlink")
@@ -559,6 +580,10 @@ class Gates:
                     await asyncio.sleep(0)
                     now_s = loop.time()
                 connection, gate = drivable.connection, drivable.gate
+                if gate.driver is not None and now_s < drivable.sent_at_s + FEED_INTERVAL_S and gate.stays(now_s):
+                    if connection is not None:
+                        driven.add(connection.link.number)
+                    continue  # it is driven at its target, and was sent that a short time ago
                 if drivable.is_given_up and connection is not None and not gate.may_move:
                     self._detach_lost(drivable, connection)
                 elif gate.may_move or (gate.is_active and connection is not None):
@@ -568,6 +593,7 @@ class Gates:
                 if connection is not None and gate.may_move:
                     driven.add(connection.link.number)
             self._beat(driven)
+            self.events.flush()
             if self._active:
                 due_s = now_s + TICK_S
                 for drivable in self._active:
@@ -615,17 +641,17 @@ class Gates:
                 self._note_ended(drivable, ended, now_s)
             if velocity is None or connection is None:
                 return None
-            link = connection.link
-            if not velocity.is_zero and link.number not in self._driven:
+            link, is_zero = connection.link, velocity.is_zero
+            if not is_zero and link.number not in self._driven:
                 self._beat(self._driven | {link.number})  # before it moves
-            if is_fed and velocity == drivable.sent and not velocity.is_zero:
+            if is_fed and velocity == drivable.sent and not is_zero:
                 return None
             payloads = drivable.commands.encode(velocity, time.time_ns())
             try:
-                self._put(drivable, link, payloads, is_zero=velocity.is_zero, is_kept=is_first)
+                self._put(drivable, link, payloads, is_zero=is_zero, is_kept=is_first)
                 # Frames that would delay a stop on a slow line are held back or refused while the robot moves.
-                link.session.outbox.robot_moves = gate.may_move or any(
-                    each.gate.may_move for each in connection.drivables
+                link.session.outbox.robot_moves = (
+                    not is_zero or gate.may_move or any(each.gate.may_move for each in connection.drivables)
                 )
             except HostlinkError as error:
                 drivable.refusals.add(drivable.name, error)

@@ -21,7 +21,7 @@ from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.messages.message_type import MessageType
 from hostlink.core.robot.admission import Command
 from hostlink.core.robot.events import RobotEvent
-from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from hostlink.core.runtime.cancellation import expire, within
 from hostlink.errors import BadRequest, DeviceGone, NoRole, ServiceFailed, UnknownTopic, WrongType
 
@@ -156,6 +156,38 @@ class Participant(Node):
                     f"{known.name}: delivered, but not kept for later subscribers: a participant may latch "
                     f"{OWN_LATCHED_BYTES} bytes, all together {SHARES['latched']}"
                 )
+
+    def publish_twist(
+        self, topic: str, twist: Twist, *, priority: int | None = None, at_s: float | None = None
+    ) -> bool:
+        """Publish a Twist that is not encoded, if one robot is all that receives it: its gate, of this daemon.
+
+        Return False and do nothing in every other case: `publish` then does the same, or says why not.
+
+        Raises:
+            CommandRefused: the robot's admission has refused the velocity.
+            HostlinkError: the velocity does not fit the device, which is stopped.
+        """
+        topics = self._hub.topics
+        known = topics.find_or_none(topic)
+        target = None if known is None or known.type_name != TWIST_TYPE else known.target
+        if known is None or target is None or self in known.latched:
+            return False
+        if self.has_left or self.role < Role.DRIVE or self._hub.gates.is_closed:
+            return False
+        if self not in known.publishers:  # as `note_publishing`
+            topics.earlier.note(known.name, self, asyncio.get_running_loop().time())
+        senders = topics.deliveries.begin_sending(self)
+        try:
+            target.receive_twist(
+                twist,
+                self,
+                self.priority if priority is None else priority,
+                asyncio.get_running_loop().time() if at_s is None else at_s,
+            )
+        finally:
+            topics.deliveries.senders = senders
+        return True
 
     def note_publishing(self, topic: str) -> None:
         """Note a publisher of a topic without subscribers. It does not drive a device that subscribes later."""

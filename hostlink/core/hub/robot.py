@@ -654,12 +654,15 @@ class LocalRobot(Drivable, AnyRobot):
             return
         monitor = self.connection.diagnosis.monitor.motion
         monitor.observe(reading.flaws, now_s, frame_id=reading.frame_id, is_jump=is_jump)
-        commanded = self.gate.current
-        measured = None if commanded.is_zero else self.odometry.snapshot(now_s)
+        sent = self.gate.current
+        commanded = Speed(sent.x_m_s, sent.yaw_rad_s)
+        if not monitor.is_due(commanded, now_s):
+            return
+        measured = None if sent.is_zero else self.odometry.snapshot(now_s)
         if measured is not None and measured.twist is not None:
             twist = measured.twist
-            monitor.compare(Speed(commanded.x_m_s, commanded.yaw_rad_s), Speed(twist.x_m_s, twist.yaw_rad_s), now_s)
-        elif commanded.is_zero:
+            monitor.compare(commanded, Speed(twist.x_m_s, twist.yaw_rad_s), now_s)
+        elif sent.is_zero:
             monitor.compare(Speed(), Speed(), now_s)
 
     def receive_battery(self, payload: bytes) -> None:

@@ -195,7 +195,7 @@ class RobotTopicPublisher:
             return False
         is_away = robot.link is None
         receive = functools.partial(self._receive_alone, robot) if is_away else robot.receive
-        subscription = DeviceSubscription(receive, is_gate=True, is_away=is_away)
+        subscription = DeviceSubscription(receive, is_gate=True, is_away=is_away, target=None if is_away else robot)
         try:
             topic = self._graph.subscribe_device(name, self._node, subscription, type_name=type_name)
         except HostlinkError as error:

@@ -92,6 +92,7 @@ class StallWatch:
 
     def pop_pause(self, now_s: float) -> float | None:
         """Return the start of a pause that ended since the last call; None if there was none."""
-        self._notice(now_s)
+        if self._beat_s is None or now_s - self._beat_s + self._slept_s() - self._slept_before_s > STALL_S:
+            self._notice(now_s)
         began_s, self._pause_began_s = self._pause_began_s, None
         return began_s

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from hostlink.core.hub.byte_budget import SHARES, Share
 from hostlink.core.hub.message import Message
-from hostlink.core.hub.node import is_of
+from hostlink.core.hub.node import Node
 from hostlink.core.hub.topic import Topic
 
 
@@ -91,7 +91,8 @@ class Subscription:
 
     def receive(self, message: Message) -> None:
         """Deliver a message, or a waiting older one in its place, or keep the message for later."""
-        if self.is_closed or (self._group and is_of(message.source, self._group)):
+        source = message.source
+        if self.is_closed or (self._group and isinstance(source, Node) and source.group == self._group):
             return
         if self._interval_s <= 0:
             self._deliver(message)

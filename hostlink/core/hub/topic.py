@@ -13,6 +13,7 @@ from hostlink.core.hub.byte_budget import ByteBudget
 from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.core.hub.node import Node
 from hostlink.core.messages.message_type import MessageType
+from hostlink.core.robot.velocity import Twist
 from hostlink.errors import BadRequest, HostlinkError
 
 log = structlog.get_logger()
@@ -118,13 +119,23 @@ class Listener(Protocol):
     def fail(self, error: Exception, /) -> None: ...
 
 
+class TwistTarget(Protocol):
+    """Target of velocities that takes a Twist without a message."""
+
+    def receive_twist(self, twist: Twist, source: Hashable, priority: int, received_s: float) -> None: ...
+
+
 class DeviceSubscription(NamedTuple):
-    """Subscription of a device: of its link, or of a velocity gate. `receive` raises the refusal of a message."""
+    """Subscription of a device: of its link, or of a velocity gate. `receive` raises the refusal of a message.
+
+    `target` does the same with a Twist as `receive` with a message that has it; None: only `receive` can.
+    """
 
     receive: Receive
     is_gate: bool
     is_command: bool = False  # each message is an action, such as a reset of odometry
     is_away: bool = False  # the gate of a robot whose device is not connected
+    target: TwistTarget | None = None
 
     @property
     def takes_latched(self) -> bool:
@@ -143,8 +154,9 @@ class Topic:
     """
 
     __slots__ = (
-        "_budget", "_deliveries", "_expected", "_is_gated", "_number", "_snapshot", "_subscribers",
-        "devices", "earlier", "latched", "messages", "name", "publishers", "rank", "type", "type_name",
+        "_budget", "_deliveries", "_expected", "_number", "_snapshot", "_subscribers",
+        "devices", "earlier", "is_gated", "latched", "messages", "name", "publishers", "rank", "target", "type",
+        "type_name",
     )  # fmt: skip
 
     def __init__(self, name: str, deliveries: Deliveries | None = None, budget: ByteBudget | None = None) -> None:
@@ -162,7 +174,8 @@ class Topic:
         self._number = 0  # of the next subscriber
         self._expected: dict[str, int] = {}  # number of subscribers that expect each type
         self._snapshot: tuple[Listener, ...] | None = ()  # None: made again for the next message
-        self._is_gated = False
+        self.is_gated = False  # a velocity gate subscribes, so that messages drive a robot
+        self.target: TwistTarget | None = None  # the gate that is its only device
         self._deliveries = Deliveries() if deliveries is None else deliveries
         self._budget = ByteBudget() if budget is None else budget
 
@@ -194,12 +207,17 @@ class Topic:
     def add_device(self, key: Hashable, subscription: DeviceSubscription) -> None:
         """Add a device or a gate."""
         self.devices[key] = subscription
-        self._is_gated = any(each.is_gate for each in self.devices.values())
+        self._note_devices()
 
     def remove_device(self, key: Hashable) -> None:
         """Remove a device or a gate. Do nothing if it is not subscribed."""
         self.devices.pop(key, None)
-        self._is_gated = any(each.is_gate for each in self.devices.values())
+        self._note_devices()
+
+    def _note_devices(self) -> None:
+        devices = list(self.devices.values())
+        self.is_gated = any(each.is_gate for each in devices)
+        self.target = devices[0].target if len(devices) == 1 else None
 
     @property
     def expected_type(self) -> str:
@@ -210,11 +228,6 @@ class Topic:
     def is_used(self) -> bool:
         """Whether the topic has a publisher or subscriber."""
         return bool(self.publishers or self._subscribers or self.devices)
-
-    @property
-    def is_gated(self) -> bool:
-        """Whether a velocity gate subscribes, so that messages drive a robot."""
-        return self._is_gated
 
     @property
     def has_subscribers(self) -> bool:
@@ -281,7 +294,7 @@ class Topic:
             epoch=epoch,
         )
         refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
-        if not self._is_gated:
+        if not self.is_gated:
             self._deliveries.add(self._dispatch, message)
         if refusal is not None:
             raise refusal
@@ -289,12 +302,12 @@ class Topic:
     def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
         """Pass a payload to all subscribers, but to no device."""
         if self._subscribers:
-            self._deliveries.add(self._dispatch, self._message(payload, source, at_s))
+            message = Message(
+                self.name, self.type_name, self.type, payload, source=source, stamp_ns=time.time_ns(), at_s=at_s
+            )
+            self._deliveries.add(self._dispatch, message)
         else:
             self.messages += 1
-
-    def _message(self, payload: bytes, source: Hashable, at_s: float) -> Message:
-        return Message(self.name, self.type_name, self.type, payload, source=source, stamp_ns=time.time_ns(), at_s=at_s)
 
     def _pass_to_devices(self, message: Message) -> HostlinkError | None:
         refusal = None
@@ -350,7 +363,15 @@ class Topic:
     def _latched_messages(self) -> Iterator[Message]:
         for source, payload in list(self.latched.items()):  # a callback may let one of them leave
             if payload is not None:
-                yield self._message(payload, source, asyncio.get_running_loop().time())
+                yield Message(
+                    self.name,
+                    self.type_name,
+                    self.type,
+                    payload,
+                    source=source,
+                    stamp_ns=time.time_ns(),
+                    at_s=asyncio.get_running_loop().time(),
+                )
 
 
 def rank_of(key: Hashable) -> int:

@@ -64,7 +64,7 @@ class FairShare:
     def spend(self, seconds: float) -> None:
         """Subtract computing time from the turn. A turn ends only when it is used up."""
         self._spent_s += seconds
-        if self._spent_s >= TURN_S:
+        if self._spent_s >= TURN_S and not self._is_turn_due:
             self._expect_turn()
 
     def _expect_turn(self) -> None:
@@ -76,6 +76,8 @@ class FairShare:
         """Start a turn: admit as many as are expected to fill it. Calm readers go first while they have time left."""
         self._is_turn_due = False
         self._spent_s = 0.0
+        if not (self._calm or self._flooding):
+            return
         left_s = TURN_S
         if self._owed_s > 0 or not self._flooding:
             left_s = self._admit(self._calm, left_s)
@@ -192,9 +194,10 @@ class TurnReader:
         if self._is_due or self._is_stopped:
             return
         source, share = self._source, self._turns.share
-        if self.rest or source.unread_bytes:
+        unread_bytes = len(self.rest) + source.unread_bytes
+        if unread_bytes:
             self.came_s = self._arrival.arrive(share.came_s(self._now_s()))
-        while (unread_bytes := len(self.rest) + source.unread_bytes) and not self._is_stopped:
+        while unread_bytes and not self._is_stopped:
             if unread_bytes >= READ_BYTES:
                 self._is_flooding = True
             if not share.is_free(is_flooding=self._is_flooding):
@@ -202,6 +205,7 @@ class TurnReader:
                 self._turns.call(self._read_due, is_flooding=self._is_flooding)
                 return
             self._read()
+            unread_bytes = len(self.rest) + source.unread_bytes
         self._is_flooding = False
         self._turns.leave(self._arrival, self._now_s(), is_more=source.is_behind)
         if source.is_ended and not self._is_stopped:

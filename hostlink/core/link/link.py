@@ -215,20 +215,19 @@ class Link:
             self._is_write_due = True
             loop.call_soon(self._write_due, context=self._context)
 
-    def write_now(self) -> None:
+    def write_now(self, now_s: float) -> None:
         """Write newly queued frames at once, for velocities. They wait for a write that is due anyway.
 
-        Events of the session wait for the next turn of the loop, because the caller is at work in the hub.
+        The caller has looked for a pause of the host. Events of the session wait for the next turn of the loop, because
+        the caller is at work in the hub.
         """
         if self._finished.done():
             return
-        now_s = self._now_s()
         if self._is_write_due:
             self.session.outbox.begin_waiting(now_s)
             return
         try:
-            self._write_frames(now_s)
-            if self.session.outbox.has_waiting:
+            if self._write_frames(now_s):
                 self._expect(now_s)
         except Exception as error:  # noqa: BLE001 - raised by `run`
             self._crash(error)
@@ -393,7 +392,9 @@ class Link:
         """Write the frames that may be sent now, do what is due, and set the timer."""
         self._is_write_due = False
         session = self.session
-        self._write_frames(now_s)
+        if session.outbox.has_waiting:
+            self._pauses(now_s)  # a pause that has just ended replaces velocities by zero
+            self._write_frames(now_s)
         while session.deadline_s() <= now_s + SOON_S and not self._is_behind and self._is_settled(now_s):
             for event in session.tick(now_s=now_s + SOON_S):
                 self._on_event(self, event)
@@ -403,24 +404,28 @@ class Link:
         else:
             self._expect(now_s)
 
-    def _write_frames(self, now_s: float) -> None:
-        """Write the frames that may be sent now, until the device is behind."""
+    def _write_frames(self, now_s: float) -> bool:
+        """Write the frames that may be sent now, until the device is behind. Look for a pause of the host before.
+
+        Return whether frames wait.
+        """
         session = self.session
         outbox = session.outbox
-        outbox.begin_waiting(now_s)
-        if outbox.has_waiting:
-            self._pauses(now_s)  # a pause that has just ended replaces velocities by zero
-        while outbox.has_waiting and not self._is_behind:
+        while outbox.has_waiting:
+            if self._is_behind:
+                outbox.begin_waiting(now_s)
+                return True
             wall_ns = self._wall_ns() if outbox.is_time_due else 0
             outgoing = session.pop_frame(now_s=now_s, wall_ns=wall_ns)
             if outgoing is None:  # the device's UART is busy
-                break
+                return True
             if not self._transport.write(outgoing.frame):
                 self._is_behind = True
                 self._helper.start(self._catch_up, self._context.copy())
             if outgoing.waiting_since_s is not None:
                 self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
             self._to_device.add(outgoing.frame, now_s)
+        return False
 
     def _is_settled(self, now_s: float) -> bool:
         """Whether due work may be done.

@@ -117,11 +117,16 @@ class Outbox:
         Commands of its topic that wait are older, and are dropped.
         `is_kept`: a newer command does not replace this frame, such as the zero velocity that starts a session.
         """
-        if not self.is_stopped:
-            kept = self._urgent.get(topic_id)
-            depth = 2 if kept is not None and kept[0].is_kept else 1
+        if self.is_stopped:
+            return
+        if self._commands:
             self.drop_commands(topic_id)
-            self._put(self._urgent, topic_id, _QueuedFrame(frame, is_kept=is_kept), depth=depth)
+        new, waiting = _QueuedFrame(frame, is_kept=is_kept), self._urgent.get(topic_id)
+        if waiting is None:
+            self._urgent[topic_id] = deque((new,))
+            self._new.append(new)
+        else:
+            self._put(self._urgent, topic_id, new, depth=2 if waiting[0].is_kept else 1)
 
     def drop_commands(self, topic_id: int) -> None:
         """Drop the commands of a topic that wait."""
@@ -170,9 +175,16 @@ class Outbox:
 
         `wall_ns` is the time in a time answer. It is not read unless `is_time_due`.
         """
-        if self._new:
-            self.begin_waiting(now_s)
-        if self.wait_s(now_s) != 0:
+        if self._new:  # as `begin_waiting`
+            for new in self._new:
+                new.since_s = now_s
+            self._new.clear()
+        head = None
+        if self.is_stopped or not (self.is_time_due or self._is_request_due):
+            head = self._head()
+            if head is None and not self._is_stop_due:
+                return None
+        if self._uart_bytes_s is not None and self.wait_s(now_s) != 0:
             return None
         since_s = None
         if self.is_time_due and not self.is_stopped:
@@ -181,7 +193,7 @@ class Outbox:
         elif self._is_request_due and not self.is_stopped:
             self._is_request_due = False
             frame = self.control.request
-        elif (head := self._head()) is None:
+        elif head is None:
             self._is_stop_due = False
             frame = self.control.end
         else:

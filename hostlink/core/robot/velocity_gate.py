@@ -93,7 +93,8 @@ class Limits:
 
     def _factors(self, velocity: PlanarVelocity) -> tuple[float, float, float]:
         """Factor by which each of _LIMITS slows the velocity down."""
-        linear_m_s, angular_rad_s = velocity.speed_m_s, velocity.turn_rad_s
+        x_m_s, y_m_s, yaw_rad_s = velocity
+        linear_m_s, angular_rad_s = math.hypot(x_m_s, y_m_s), abs(yaw_rad_s)
         linear, angular, wheel = self.max_linear_m_s, self.max_angular_rad_s, self.max_wheel_m_s
         wheel_m_s = 0.0 if wheel is None else self.drive.fastest_wheel_m_s(velocity)
         return (

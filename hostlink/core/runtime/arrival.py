@@ -55,7 +55,7 @@ class Arrival:
         if is_calm and (
             now_s < self._began_s + SETTLE_S or (self._calm_s is not None and now_s >= self._calm_s + CALM_S)
         ):
-            self._forget()
+            self._since_s = self._began_s = self._calm_s = None  # as `_forget`
             return 0
         self._calm_s = None if not is_calm else now_s if self._calm_s is None else self._calm_s
         return self._number

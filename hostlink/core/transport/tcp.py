@@ -49,6 +49,7 @@ _RTT_AT = 68  # offset of tcpi_rtt, in microseconds, in Linux's struct tcp_info
 SEND_BUFFER_BYTES = 8192  # bounds old commands in the kernel, where they cannot be replaced
 RECEIVE_BUFFER_BYTES = 65536  # bounds how late a device's data may be during a flood
 STALL_POLL_S = 0.01
+CHECK_S = 0.05  # between looks for unacknowledged bytes: STALL_S is eight of them
 USER_TIMEOUT_MS = 5000  # the peer is gone when sent data stays unacknowledged for longer
 
 
@@ -59,17 +60,36 @@ class Listener:
     address: tuple[str, int]
 
 
+class StallChecks:
+    """Asks the kernel what peers have not acknowledged: once in CHECK_S, of all connections that were written to."""
+
+    def __init__(self) -> None:
+        self._written: dict[TcpTransport, None] = {}
+
+    def add(self, transport: "TcpTransport") -> None:
+        """Note a connection that was written to."""
+        if not self._written:
+            asyncio.get_running_loop().call_later(CHECK_S, self._check)
+        self._written[transport] = None
+
+    def _check(self) -> None:
+        written, self._written = self._written, {}
+        for transport in written:
+            transport.check_stall()
+
+
 class TcpTransport(StreamTransport):
     """TCP connection with a measured round trip. Nothing more is sent to it while the network stalls."""
 
-    __slots__ = ("_on_made", "_sent_bytes", "_socket", "_stall")
+    __slots__ = ("_checks", "_is_acknowledged", "_on_made", "_sent_bytes", "_socket", "_stall")
 
     kind = "tcp"
 
-    def __init__(self, on_made: Callable[["TcpTransport"], None]) -> None:
-        """`on_made` is called when the connection has its peer and its options."""
+    def __init__(self, on_made: Callable[["TcpTransport"], None], checks: StallChecks) -> None:
+        """`on_made` is called when the connection has its peer and its options. `checks` is that of all connections."""
         super().__init__()
-        self._on_made = on_made
+        self._on_made, self._checks = on_made, checks
+        self._is_acknowledged = True  # at the newest look; until the next one, nothing stalls
         self._socket: socket.socket | None = None
         self._sent_bytes = 0
         self._stall = Stall()
@@ -99,7 +119,12 @@ class TcpTransport(StreamTransport):
             return False
         self.transport.write(data)
         self._sent_bytes += len(data)
-        return not self.is_writing_paused and not self._is_stalled()
+        self._checks.add(self)
+        return not self.is_writing_paused and (self._is_acknowledged or not self._is_stalled())
+
+    def check_stall(self) -> None:
+        """Look for unacknowledged bytes, which may be the beginning of a stall."""
+        self._is_stalled()
 
     async def drain(self) -> None:
         """Wait until the peer acknowledges what was sent."""
@@ -109,16 +134,21 @@ class TcpTransport(StreamTransport):
 
     def _is_stalled(self) -> bool:
         """Whether the peer acknowledges nothing; False where the system does not tell, or the connection is lost."""
-        unacknowledged_bytes, connection = 0, self._socket
-        if connection is not None and sys.platform == "linux" and not self._lost.done():
-            number = connection.fileno()
-            if number >= 0:
-                unacknowledged_bytes = _I32.unpack(fcntl.ioctl(number, termios.TIOCOUTQ, bytes(4)))[0]
+        unacknowledged_bytes = self._unacknowledged()
+        self._is_acknowledged = not unacknowledged_bytes
         return self._stall.is_stalled(
             sent_bytes=self._sent_bytes,
             unacknowledged_bytes=unacknowledged_bytes,
             now_s=asyncio.get_running_loop().time(),
         )
+
+    def _unacknowledged(self) -> int:
+        """Ask the kernel how many bytes the peer has not acknowledged."""
+        connection = self._socket
+        if connection is None or sys.platform != "linux" or self._lost.done():
+            return 0
+        number = connection.fileno()
+        return 0 if number < 0 else int(_I32.unpack(fcntl.ioctl(number, termios.TIOCOUTQ, bytes(4)))[0])
 
     async def _leave(self) -> None:
         await super().drain()
@@ -179,7 +209,7 @@ async def serve_tcp(
 
     async def open_transport(connection: socket.socket) -> None:
         try:
-            await loop.connect_accepted_socket(lambda: TcpTransport(on_connection), connection)
+            await loop.connect_accepted_socket(lambda: TcpTransport(on_connection, checks), connection)
         except OSError:  # the peer has reset the connection
             connection.close()
         except Exception as error:  # noqa: BLE001 - a defect in opening one connection ends neither listener nor daemon
@@ -189,7 +219,7 @@ async def serve_tcp(
     def accepted(connection: socket.socket, peer: str, _: float) -> None:
         tasks.create_task(open_transport(connection), name=f"opening of {peer}")
 
-    loop = asyncio.get_running_loop()
+    loop, checks = asyncio.get_running_loop(), StallChecks()
     try:
         sockets = list(listening) or await bind(config.host, config.port)
     except (OSError, OverflowError, UnicodeError) as error:

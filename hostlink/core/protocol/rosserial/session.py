@@ -5,6 +5,7 @@ The Session owns the stream, the topics and the outbox. The Link moves the bytes
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from struct import error as StructError  # noqa: N812 - a class, named like one
+from typing import NamedTuple
 
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind, to_device_key
@@ -77,6 +78,13 @@ NAME = "rosserial"
 CONTROL_FRAMES = ControlFrames(lambda wall_ns: encode(Id.TIME, encode_time(wall_ns)), TOPICS_REQUEST, STOP_REQUEST)
 
 
+class _Taker(NamedTuple):
+    """The endpoint of a topic to which the device subscribes, and the size of a payload that it takes."""
+
+    info: DeviceEndpoint
+    payload_bytes: int
+
+
 class Session(DeviceSession):
     """State machine of one rosserial device, host side. All times are of one monotonic clock, in seconds.
 
@@ -105,6 +113,7 @@ class Session(DeviceSession):
         self._known: tuple[DeviceEndpoint, ...] = ()
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
         self.negotiation = NegotiationScheduler()
+        self._takers: dict[str, _Taker] = {}  # by topic; none of them since an endpoint was announced
         self._is_lossy = is_lossy
         self._has_dropped = False  # queued frames were dropped during this negotiation
 
@@ -294,7 +303,12 @@ class Session(DeviceSession):
             WrongType: the payload has not the size of the topic's type, or the topic was refused.
             FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
         """
-        info, frame = self._to_topic(topic, payload)
+        found = self._takers.get(topic)
+        if found is None or len(payload) != found.payload_bytes:
+            info, frame = self._to_topic(topic, payload)
+            self._takers[topic] = _Taker(info, len(payload))  # another payload of this size fits, too
+        else:
+            info, frame = found.info, encode(found.info.id, payload)
         if is_urgent:
             self.outbox.put_urgent(info.id, frame, is_kept=is_kept)
         else:
@@ -518,6 +532,7 @@ class Session(DeviceSession):
         if not self._topics.is_room(info.key):
             self._refuse_excess(info, found)
             return
+        self._takers.clear()
         if self._topics.by_key.get(info.key) not in (None, info):  # frames wait for the old meaning
             self.outbox.drop_messages()
             self._has_dropped = True
@@ -557,6 +572,7 @@ class Session(DeviceSession):
         return is_behind and self.negotiation.may_finish
 
     def _finish_negotiation(self) -> events.TopicsNegotiated:
+        self._takers.clear()
         self._topics.finish(refused=self._refused)
         self._stream.limit_bytes = max(DEFAULT_LIMIT_BYTES, self._topics.largest_from_device_bytes())
         self._refused = {key: why for key, why in self._refused.items() if key in self._topics.by_key}

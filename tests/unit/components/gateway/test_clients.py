@@ -39,6 +39,13 @@ class Program:
     def flush(self, now_s: float) -> float | None: ...
     def close(self) -> None: ...
 
+    def take(self, data: bytes, came_s: float) -> bool:
+        if not (is_plain := b"=" in data):
+            return False
+        self.done.append(data.decode())
+        self.came_s[data.decode()] = came_s
+        return is_plain
+
     def read(self, data: str | bytes, came_s: float) -> Operation[str]:
         word = str(data)
         robot, is_velocity, rest = word.partition("=")
@@ -284,3 +291,49 @@ def test_client_that_has_ended_gives_the_room_of_what_waited_back() -> None:
     assert share.held_bytes > 0
     box.close()
     assert share.held_bytes == 0
+
+
+# -- at once ----------------------------------------------------------------------------------------------------------
+
+
+@virtual
+async def test_velocity_is_executed_at_once_while_nothing_waits() -> None:
+    program = Program()
+    box = operations(program)
+    assert box.take(b"a=1", 1.0, 1.5)
+    assert (program.done, program.came_s) == (["a=1"], {"a=1": 1.0})
+    assert not box.take(b"word", 1.0, 1.5)
+    box.put("a=2", 1.6, 1.6)
+    assert not box.take(b"a=3", 1.6, 1.6)
+    box.work()
+    assert box.take(b"a=3", 1.7, 1.7)
+    assert program.done == ["a=1", "a=2", "a=3"]
+
+
+@virtual
+async def test_velocity_at_once_counts_for_the_rate_of_messages() -> None:
+    program = Program()
+    box = operations(program, messages_s=10.0)
+    assert [box.take(b"a=1", 5.0, 5.0) for _ in range(12)] == [True] * 10 + [False] * 2
+    assert box.debt_s == 0.0  # what is refused here is counted when it is put into the queue
+    box.put("a=1", 5.0, 5.0)
+    assert box.debt_s == pytest.approx(0.1)
+    box.work()
+    assert not box.take(b"a=1", 5.1, 5.1)
+    assert box.take(b"a=1", 5.25, 5.25)
+
+
+@virtual
+async def test_velocity_at_once_ends_the_silence_of_a_connection() -> None:
+    """The first velocity of those that waited through a silence is kept; this one has shown that there was none."""
+    program = Program()
+    box = operations(program)
+    box.put("a=1", 1.0, 1.0)
+    box.work()
+    for number in range(12):
+        box.take(b"a=2", 1.1 + number / 10, 1.1 + number / 10)
+    for word in ("a=3", "a=4"):
+        box.put(word, 2.3, 2.3)
+    while box.waiting:
+        box.work()
+    assert program.done == ["a=1", *["a=2"] * 12, "a=4"]

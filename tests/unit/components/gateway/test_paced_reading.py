@@ -67,6 +67,8 @@ class Scene:
         self.transport.protocol = self.reading
         self.reading.connection_made(self.transport)
         self.reads: list[None] = []
+        self.messages: list[bytes] = []  # that were offered
+        self.takes = True
         self.share = self.hub.budget["receiving"]
 
     def connect(self) -> ApiConnection:
@@ -99,8 +101,15 @@ class Scene:
 
     def become_web_socket(self) -> None:
         self.reading.become_web_socket(
-            on_read=lambda: self.reads.append(None), on_full=lambda: None, on_writable=lambda: None
+            on_message=self._take,
+            on_read=lambda: self.reads.append(None),
+            on_full=lambda: None,
+            on_writable=lambda: None,
         )
+
+    def _take(self, text: bytes) -> bool:
+        self.messages.append(text)
+        return self.takes
 
     def fill_turn(self) -> None:
         """Use up this turn of the loop by another client."""
@@ -399,7 +408,10 @@ async def test_web_socket_is_read_in_small_pieces_except_the_rest_of_a_large_mes
 async def test_writing_that_may_continue_calls_the_web_socket(scene: Scene) -> None:
     calls: list[str] = []
     scene.reading.become_web_socket(
-        on_read=lambda: None, on_full=lambda: calls.append("full"), on_writable=lambda: calls.append("writable")
+        on_message=lambda _: False,
+        on_read=lambda: None,
+        on_full=lambda: calls.append("full"),
+        on_writable=lambda: calls.append("writable"),
     )
     scene.reading.pause_writing()
     assert (scene.reading.is_writing_paused, calls) == (True, ["full"])
@@ -413,3 +425,61 @@ async def test_abort_of_a_connection_closes_its_transport(scene: Scene) -> None:
     scene.connection.abort()
     assert scene.transport.is_closed
     ApiConnection("127.0.0.1").abort()  # not accepted yet: nothing to close
+
+
+# -- messages that are read alone -------------------------------------------------------------------------------------
+
+HEAD = b"GET / HTTP/1.1\r\n\r\n"
+
+
+def message(payload: bytes) -> bytes:
+    return bytes((0x81, 0x80 | len(payload))) + bytes(4) + payload  # this mask changes nothing
+
+
+@inside(check)
+async def test_message_read_alone_is_offered_and_passed_on_if_it_is_not_taken(scene: Scene) -> None:
+    scene.read(HEAD)
+    scene.become_web_socket()
+    scene.read(message(b"one"))
+    assert (scene.messages, scene.received, scene.reads) == ([b"one"], HEAD, [])
+    scene.takes = False
+    scene.read(message(b"two"))
+    assert (scene.messages, scene.received) == ([b"one", b"two"], HEAD + message(b"two"))
+    assert scene.reads == [None]
+
+
+@inside(check)
+async def test_message_with_others_around_it_is_not_offered(scene: Scene) -> None:
+    scene.read(HEAD)
+    scene.become_web_socket()
+    scene.read(message(b"one") + message(b"two"))
+    scene.read(message(b"three"))  # those before it are not received yet
+    assert scene.messages == []
+    scene.reading.unread_bytes = 0
+    scene.read(message(b"four")[:4])
+    scene.read(message(b"four")[4:])
+    scene.reading.unread_bytes = 0
+    scene.read(message(b"five"))
+    assert scene.messages == [b"five"]
+    size = len(scene.reading.get_buffer(-1))
+    long = b"\x81\xfe" + (size - 8).to_bytes(2) + bytes(4) + b"x" * (size - 8)
+    scene.read(long)  # more may be behind it
+    assert scene.messages == [b"five"]
+
+
+@pytest.mark.parametrize("behind", [b"\x81", message(b"early"), message(b"early")[:5]])
+@inside(check)
+async def test_message_is_not_offered_where_bytes_came_with_the_handshake(scene: Scene, behind: bytes) -> None:
+    scene.read(HEAD + behind)
+    scene.become_web_socket()
+    scene.read(message(b"one"))
+    assert scene.messages == []
+
+
+@inside(check)
+async def test_message_is_not_offered_when_the_web_socket_has_ended(scene: Scene) -> None:
+    scene.read(HEAD)
+    scene.become_web_socket()
+    scene.reading.leave_web_socket()
+    scene.read(message(b"one"))
+    assert (scene.messages, scene.received) == ([], HEAD + message(b"one"))

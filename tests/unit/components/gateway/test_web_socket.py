@@ -19,7 +19,6 @@ from hostlink.components.gateway.web_socket import (
     SEND_BATCH,
     SEND_TIMEOUT_S,
     ClientSocket,
-    frame_head,
 )
 from hostlink.components.gateway.write_pace import LEAST_BYTES, SLOW_S, WRITE_BYTES
 from hostlink.core.config import Config
@@ -28,9 +27,7 @@ from hostlink.core.hub.queue import MAX_RESULTS
 from hostlink.core.runtime.latency import Latency
 from tests.support.fake_device import CATALOG
 from tests.support.hosts import host_in
-from tests.support.virtual_loop import run_virtual
-
-TEXT, BINARY = 0x81, 0x82
+from tests.support.virtual_loop import run_virtual, virtual
 
 
 class Socket:
@@ -48,6 +45,7 @@ class Socket:
         self.transport = self
         self.kind = "rosbridge"
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
+        self.on_message: Callable[[bytes], bool]
         self.on_read: Callable[[], None]
         self.on_full: Callable[[], None]
         self.on_writable: Callable[[], None]
@@ -73,8 +71,14 @@ class Socket:
         return self.closed
 
     def become_web_socket(
-        self, *, on_read: Callable[[], None], on_full: Callable[[], None], on_writable: Callable[[], None]
+        self,
+        *,
+        on_message: Callable[[bytes], bool],
+        on_read: Callable[[], None],
+        on_full: Callable[[], None],
+        on_writable: Callable[[], None],
     ) -> None:
+        self.on_message = on_message
         self.on_read, self.on_full, self.on_writable = on_read, on_full, on_writable
 
     def fill(self, for_s: float) -> None:
@@ -105,6 +109,13 @@ class Echo:
         self.queue, self.done, self.calls, self.is_closed = queue, list[str](), 0, False
         self._tasks = tasks
         self.held_back: list[tuple[float, str]] = []  # what is due, and when
+
+    def take(self, data: bytes, came_s: float) -> bool:  # noqa: ARG002 - of a program
+        is_plain = b"=" in data
+        if is_plain:
+            self.done.append(data.decode())
+            self.queue.put_result(Outgoing(data))
+        return is_plain
 
     def read(self, data: str | bytes, came_s: float) -> Operation[str]:
         robot, is_velocity, value = str(data).partition("=")
@@ -180,21 +191,6 @@ async def connected(kind: str = "rosbridge", max_messages_s: float = 1000.0) -> 
         if not made.socket.closed:
             await made.leave()
             assert made.program.is_closed
-
-
-@pytest.mark.parametrize(
-    ("size_bytes", "head"),
-    [
-        (0, bytes((TEXT, 0))),
-        (125, bytes((TEXT, 125))),
-        (126, bytes((TEXT, 126, 0, 126))),
-        (0xFFFF, bytes((TEXT, 126, 255, 255))),
-        (0x10000, bytes((TEXT, 127, 0, 0, 0, 0, 0, 1, 0, 0))),
-    ],
-)
-def test_frame_head_has_the_shortest_length_field(size_bytes: int, head: bytes) -> None:
-    assert frame_head(size_bytes, is_binary=False) == head
-    assert frame_head(size_bytes, is_binary=True) == bytes((BINARY,)) + head[1:]
 
 
 def test_messages_of_one_read_are_answered_in_one_write() -> None:
@@ -590,3 +586,55 @@ def test_operations_wait_while_answers_have_no_room() -> None:
             assert len(client.program.done) == 200
 
     run_virtual(run())
+
+
+# -- at once ----------------------------------------------------------------------------------------------------------
+
+
+@virtual
+async def test_velocity_read_alone_is_executed_and_answered_in_the_turn_of_its_read() -> None:
+    async with connected() as made:
+        assert made.socket.on_message(b"a=1")
+        assert (made.program.done, made.written()) == (["a=1"], [b"a=1"])
+        assert made.socket.messages_from_client == 1
+        assert not made.socket.on_message(b"word")
+        assert made.socket.messages_from_client == 1
+
+
+@pytest.mark.parametrize("obstacle", ["operation", "work", "answers", "turn", "closed"])
+@virtual
+async def test_velocity_waits_behind_what_waits(obstacle: str) -> None:
+    async with connected() as made:
+        if obstacle == "operation":
+            made.socket.put("word")
+            await asyncio.sleep(0)
+        elif obstacle == "work":
+            made.socket.on_read()
+        elif obstacle == "answers":
+            made.socket.fill(100.0)
+            for _ in range(MAX_RESULTS // 2 + 1):
+                made.queue.put_result(Outgoing(b"answer"))
+        elif obstacle == "turn":
+            made.hub.turns().end(asyncio.get_running_loop().time() - 1.0)
+        else:
+            made.socket.closed = True
+        assert not made.socket.on_message(b"a=1")
+        assert "a=1" not in made.program.done
+        made.socket.closed = False
+
+
+def test_failure_of_a_velocity_at_once_ends_the_client() -> None:
+    async def run() -> None:
+        async with connected() as made:
+            made.program.take = _fail  # type: ignore[method-assign]
+            assert made.socket.on_message(b"a=1")
+            assert not made.socket.on_message(b"a=1")
+            await asyncio.sleep(0.01)
+
+    with pytest.raises(ExceptionGroup) as raised:
+        run_virtual(run())
+    assert raised.value.subgroup(ZeroDivisionError) is not None
+
+
+def _fail(data: bytes, came_s: float) -> bool:
+    raise ZeroDivisionError

@@ -4,6 +4,8 @@ import asyncio
 
 import pytest
 
+from hostlink.core.hub.gates import TICK_S
+from hostlink.core.hub.robot_events import MAX_LATER
 from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import BadRequest, CommandRefused
@@ -104,3 +106,90 @@ async def test_an_observer_that_fails_ends_alone_and_one_that_has_left_observes_
     assert seen == []
     with pytest.raises(BadRequest, match="has left"):
         left.observe(seen.append)
+
+
+# -- commands that continue a drive -----------------------------------------------------------------------------------
+
+
+@inside(play)
+async def test_first_command_of_a_drive_is_told_at_once_and_the_next_with_the_tick(made: Scene) -> None:
+    robot, pilot, loop = made.hub.robots.find(ROBOT), made.hub.join("pilot"), asyncio.get_running_loop()
+    events = observed(made)
+    pilot.drive(robot, PlanarVelocity(0.1))
+    assert [event.facts["velocity"] for event in events] == [PlanarVelocity(0.1)]
+    at_s = [loop.time()]
+    for number in range(1, 5):
+        await asyncio.sleep(TICK_S / 5)
+        pilot.drive(robot, PlanarVelocity(number / 8))
+        at_s.append(loop.time())
+    assert len(events) == 1
+    await asyncio.sleep(TICK_S)
+    assert [event.facts["velocity"].x_m_s for event in events] == [0.1, 0.125, 0.25, 0.375, 0.5]
+    assert [event.at_s for event in events] == at_s  # each has its own time
+    assert {event.facts["owner"] for event in events} == {"pilot"}
+
+
+@pytest.mark.parametrize("end", ["zero", "stop", "lock", "refused", "leave", "take over", "observer"])
+@inside(play)
+async def test_commands_are_told_before_what_follows_them(made: Scene, end: str) -> None:
+    robot, pilot = made.hub.robots.find(ROBOT), made.hub.join("pilot")
+    events = observed(made)
+    pilot.drive(robot, PlanarVelocity(0.1))
+    pilot.drive(robot, PlanarVelocity(0.2))
+    if end == "zero":
+        pilot.drive(robot, PlanarVelocity())
+    elif end == "stop":
+        robot.stop()
+    elif end == "lock":
+        robot.lock("smoke")
+    elif end == "refused":
+        with pytest.raises(CommandRefused):
+            made.hub.join("other").drive(robot, PlanarVelocity(0.3))
+    elif end == "leave":
+        pilot.leave()
+    elif end == "take over":
+        made.hub.join("other").drive(robot, PlanarVelocity(0.3), take_over=True)
+    else:
+        made.hub.join("late").observe(lambda _: None)
+    kinds = [event.kind for event in events]
+    assert kinds[:2] == [EventKind.COMMANDED] * 2
+    assert [event.facts["velocity"].x_m_s for event in events[:2]] == [0.1, 0.2]
+    assert (len(kinds) > 2) is (end != "observer")
+
+
+@inside(play)
+async def test_observer_that_leaves_has_every_command_before_and_a_later_one_has_none(made: Scene) -> None:
+    robot, pilot = made.hub.robots.find(ROBOT), made.hub.join("pilot")
+    leaving, coming = made.hub.join("leaving"), list[RobotEvent]()
+    events: list[RobotEvent] = []
+    leaving.observe(events.append)
+    for x_m_s in (0.1, 0.2, 0.3):
+        pilot.drive(robot, PlanarVelocity(x_m_s))
+    made.hub.join("coming").observe(coming.append)
+    pilot.drive(robot, PlanarVelocity(0.4))
+    leaving.leave()
+    assert [event.facts["velocity"].x_m_s for event in events] == [0.1, 0.2, 0.3, 0.4]
+    assert [event.facts["velocity"].x_m_s for event in coming] == [0.4]
+
+
+@inside(play)
+async def test_flood_of_commands_keeps_few_of_them_waiting(made: Scene) -> None:
+    robot, pilot = made.hub.robots.find(ROBOT), made.hub.join("pilot")
+    events = observed(made)
+    for _ in range(MAX_LATER + 2):
+        pilot.drive(robot, PlanarVelocity(0.1))
+    assert len(events) == MAX_LATER + 1
+
+
+@inside(play)
+async def test_event_that_an_observer_causes_follows_the_commands_that_waited(made: Scene) -> None:
+    robot, pilot = made.hub.robots.find(ROBOT), made.hub.join("pilot")
+    pilot.drive(robot, PlanarVelocity(0.1))
+    stopping = made.hub.join("stopping")
+    stopping.observe(lambda event: robot.stop() if event.facts.get("velocity") == PlanarVelocity(0.2) else None)
+    events = observed(made)
+    pilot.drive(robot, PlanarVelocity(0.2))
+    pilot.drive(robot, PlanarVelocity(0.3))
+    await asyncio.sleep(TICK_S)
+    told = [event.facts.get("velocity", event.kind) for event in events]
+    assert told == [PlanarVelocity(0.2), PlanarVelocity(0.3), EventKind.STOPPED]

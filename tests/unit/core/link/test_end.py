@@ -36,5 +36,5 @@ async def test_device_that_closes_while_the_writer_waits_for_it_ends_the_link_as
         await asyncio.sleep(1.0)
         await device.aclose()
         link.session.outbox.put_urgent(100, bytes(56))
-        link.write_now()
+        link.write_now(asyncio.get_running_loop().time())
     assert running.result() is LinkEnd.PEER_CLOSED

@@ -1,9 +1,13 @@
 """Stall detection of a stopped network, but not of a slow or idle one."""
 
+import asyncio
+import math
+
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.core.transport.tcp import STALL_S, Stall
+from hostlink.core.transport.tcp import CHECK_S, STALL_S, Stall, StallChecks, TcpTransport
+from tests.support.virtual_loop import virtual
 
 
 def test_idle_connection_does_not_stall() -> None:
@@ -39,3 +43,68 @@ def test_peer_that_acknowledges_in_time_never_stalls(steps: list[tuple[float, in
         now_s += pause_s
         sent += size + 1
         assert not stall.is_stalled(sent_bytes=sent, unacknowledged_bytes=size, now_s=now_s)
+
+
+class Peer(asyncio.Transport):
+    """A transport whose peer acknowledges everything, or nothing."""
+
+    def write(self, data: object) -> None:
+        """Accept any bytes."""
+
+    def is_closing(self) -> bool:
+        return False
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        """Accept any limits."""
+
+
+class Connection(TcpTransport):
+    """A connection whose unacknowledged bytes are told by the test."""
+
+    __slots__ = ("acknowledged_bytes", "looks")
+
+    def __init__(self, checks: StallChecks) -> None:
+        super().__init__(lambda _: None, checks)
+        self.transport = Peer()
+        self.looks, self.acknowledged_bytes = list[float](), math.inf
+
+    def _unacknowledged(self) -> int:
+        self.looks.append(asyncio.get_running_loop().time())
+        return int(max(0, self._sent_bytes - self.acknowledged_bytes))
+
+
+@virtual
+async def test_kernel_is_asked_once_in_an_interval_for_all_connections_that_were_written_to() -> None:
+    checks = StallChecks()
+    written, silent = [Connection(checks) for _ in range(3)], Connection(checks)
+    for _ in range(10):
+        assert all(connection.write(b"velocity") for connection in written)
+        await asyncio.sleep(CHECK_S / 20)
+    await asyncio.sleep(10 * CHECK_S)
+    assert [connection.looks for connection in written] == [[CHECK_S]] * 3
+    assert not silent.looks
+
+
+@virtual
+async def test_stall_is_noticed_by_the_first_write_after_its_time() -> None:
+    connection = Connection(StallChecks())
+    connection.acknowledged_bytes = 0
+    taken = []
+    for number in range(9):
+        taken.append((number, connection.write(b"velocity")))
+        await asyncio.sleep(0.1)
+    assert [number for number, is_taken in taken if not is_taken] == [5, 6, 7, 8]  # from STALL_S + CHECK_S on
+    connection.acknowledged_bytes = math.inf
+    assert connection.write(b"velocity")
+    looks = len(connection.looks)
+    assert connection.write(b"velocity")  # all is acknowledged: the next look is that of the interval
+    assert len(connection.looks) == looks
+
+
+@virtual
+async def test_progress_between_two_looks_ends_no_connection() -> None:
+    connection = Connection(StallChecks())
+    for number in range(20):
+        connection.acknowledged_bytes = number * len(b"velocity")  # all but the newest write
+        assert connection.write(b"velocity")
+        await asyncio.sleep(0.1)
