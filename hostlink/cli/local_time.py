@@ -2,6 +2,8 @@
 
 from datetime import UTC, datetime
 
+from hostlink.core.runtime.units import NS_PER_S
+
 
 def now() -> datetime:
     """Return the time of this computer."""
@@ -28,5 +30,5 @@ def time_text(stamp: str, now: datetime) -> str:
 
 def wall_text(stamp_ns: int) -> str:
     """Return a wall time in seconds, with its date and offset: `2026-11-22 08:40:57 UTC+1`."""
-    at = datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).astimezone()
+    at = datetime.fromtimestamp(stamp_ns // NS_PER_S, UTC).astimezone()
     return f"{at:%Y-%m-%d %H:%M:%S} {offset(at)}"

@@ -39,6 +39,7 @@ from hostlink.cli.names import listed, natural, similar, unknown
 from hostlink.cli.output import duration, is_terminal, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.core.runtime.plain_text import csv_text
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import ConfigError, HostlinkError, WrongType, size
 
 # -- services and types -----------------------------------------------------------------------------------------------
@@ -686,7 +687,7 @@ async def _measure(
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout_at(next_s):
                 async for message in messages:
-                    measured.add(message.stamp_ns / 1e9, figures.figure(message))
+                    measured.add(message.stamp_ns / NS_PER_S, figures.figure(message))
         if as_json:
             write(json_text.dumps({"messages": measured.messages} | figures.view(measured)))
         else:
@@ -782,7 +783,7 @@ async def _check_header(host: Host, topic: str) -> None:
 
 def _age_s(message: RawMessage) -> float:
     _, secs, nsecs = _HEADER.unpack_from(message.payload)
-    return float(time.time() - secs - nsecs / 1e9)
+    return float(time.time() - secs - nsecs / NS_PER_S)
 
 
 def _delay_view(measured: MessageWindow) -> dict[str, Any]:

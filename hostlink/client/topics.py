@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from hostlink.client.connection import HostConnection, refused_by
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.views import RawMessage
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import HostlinkError, Refused
 
 # -- topics -----------------------------------------------------------------------------------------------------------
@@ -18,7 +19,6 @@ Subscription = Mailbox[dict[str, Any]]
 RawSubscription = Mailbox[RawMessage]
 RAW = {"compression": "cbor-raw"}  # option of a subscription that `read_raw` reads
 Item = TypeVar("Item")
-_NS_PER_S = 1_000_000_000
 
 
 @dataclass(slots=True)
@@ -125,7 +125,7 @@ class Topics:
 
 
 def read_raw(message: dict[str, Any]) -> RawMessage:
-    return RawMessage(message["bytes"], message["secs"] * _NS_PER_S + message["nsecs"])
+    return RawMessage(message["bytes"], message["secs"] * NS_PER_S + message["nsecs"])
 
 
 def _typed(type_name: str) -> dict[str, str]:

@@ -3,8 +3,7 @@
 import struct
 
 from hostlink.core.protocol.rosserial.control import Log
-
-_NS_PER_S = 1_000_000_000
+from hostlink.core.runtime.units import NS_PER_S
 
 
 def encode_parameter_request(name: str) -> bytes:
@@ -20,7 +19,7 @@ def encode_log(log: Log) -> bytes:
 def decode_time(payload: bytes) -> int:
     """Decode a time answer to nanoseconds since 1970."""
     seconds, nanoseconds = struct.unpack("<II", payload)
-    return int(seconds) * _NS_PER_S + int(nanoseconds)
+    return int(seconds) * NS_PER_S + int(nanoseconds)
 
 
 def _encode_string(text: str) -> bytes:

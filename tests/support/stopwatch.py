@@ -5,7 +5,8 @@ import os
 import time
 from pathlib import Path
 
-NS_PER_S = 1e9
+from hostlink.core.runtime.units import NS_PER_S
+
 SAMPLE_INTERVAL_S = 0.002
 
 

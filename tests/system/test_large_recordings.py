@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.components.recorder.channel import DEVICE, NS_PER_S, VELOCITY, ros_channel
+from hostlink.components.recorder.channel import DEVICE, VELOCITY, ros_channel
 from hostlink.components.recorder.mcap_writer import McapWriter
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.core.runtime.units import NS_PER_S
 from tests.support.process import serve, simulated
 
 MEGABYTE = 1_000_000

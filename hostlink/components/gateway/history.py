@@ -20,7 +20,7 @@ from hostlink.components.gateway.recordings import find_file, send_file
 from hostlink.components.gateway.routes import BODY, FILE, Route, reply, reply_encoded
 from hostlink.components.gateway.views import utc_text
 from hostlink.components.recorder.black_box import MAX_DETAIL, BlackBox
-from hostlink.components.recorder.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
+from hostlink.components.recorder.channel import DEVICE, ROS1, VELOCITY, Channel
 from hostlink.components.recorder.folder import Folder, StoredFile
 from hostlink.components.recorder.history import PastPose, Rest, RobotHistory
 from hostlink.components.recorder.incident import Incident, IncidentFiles, SavedIncident, read_incident
@@ -35,6 +35,7 @@ from hostlink.core.robot.state_views import velocity_view
 from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from hostlink.core.robot.views import PoseView, VelocityView
 from hostlink.core.runtime.loop_time import loop_time_s
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadRequest, RecordingFailed, UnknownTopic
 
 WORK_S = 0.0005  # time that the reading thread works before it yields the interpreter for REST_S
@@ -412,7 +413,7 @@ def _any_odometry(channels: list[Channel]) -> tuple[str, str] | None:
 
 
 def _incident_view(incident: Incident) -> IncidentView:
-    at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(incident.stamp_ns // 1_000_000_000))
+    at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(incident.stamp_ns // NS_PER_S))
     return {
         "robot": incident.robot,
         "cause": incident.cause,

@@ -37,6 +37,7 @@ from hostlink.core.robot.state_views import odometry_view, robot_view, stopped_v
 from hostlink.core.robot.views import CommandEndpointView, OdometryView, RobotView, StoppedRobotView, TopicView
 from hostlink.core.runtime.listening import own_address, spelled
 from hostlink.core.runtime.loop_time import loop_time_s
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadRequest, DeviceGone, HostlinkError, UnknownTopic
 
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
@@ -197,7 +198,7 @@ class DrivesView(TypedDict):
 
 
 def _drive_view(drive: Drive) -> DriveView:
-    seconds = max(drive.ended_ns - drive.began_ns, 0) / 1e9 if drive.seconds is None else drive.seconds
+    seconds = max(drive.ended_ns - drive.began_ns, 0) / NS_PER_S if drive.seconds is None else drive.seconds
     return {
         "robot": drive.robot,
         "owner": drive.owner,

@@ -11,6 +11,7 @@ from hostlink.core.host import Devices, RobotHandle, Turns
 from hostlink.core.robot.state_views import velocity_view
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.robot.views import VelocityView
+from hostlink.core.runtime.units import NS_PER_S
 
 View = TypeVar("View")
 
@@ -59,7 +60,7 @@ class VelocityAnswer(TypedDict):
 
 def utc_text(stamp_ns: int) -> str:
     """Format a wall time: `2026-11-22T07:43:29.123+00:00`."""
-    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(timespec="milliseconds")
+    return datetime.fromtimestamp(stamp_ns / NS_PER_S, UTC).isoformat(timespec="milliseconds")
 
 
 def velocity_answer(robot: RobotHandle, requested: PlanarVelocity, limited: PlanarVelocity) -> VelocityAnswer:

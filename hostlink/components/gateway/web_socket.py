@@ -171,7 +171,7 @@ class ClientSocket:
             or self._is_ended
             or self._socket.closed
             or not self._queue.has_room
-            or not turns.share.is_free()
+            or not turns.share.is_free_for_urgent
         ):
             return False
         began_s, is_send_due = self._loop.time(), self._is_send_due

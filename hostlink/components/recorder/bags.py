@@ -15,7 +15,6 @@ from rosbags.typesys import Stores, get_typestore
 from hostlink.components.recorder.channel import (
     CDR,
     JSON,
-    NS_PER_S,
     ROS1,
     TEXT_DEFINITION,
     TEXT_MD5,
@@ -26,6 +25,7 @@ from hostlink.components.recorder.channel import (
 from hostlink.components.recorder.definitions import ros1_type, ros2_name, ros2_type
 from hostlink.components.recorder.export import Exported, check_done, chosen_channels, new_output
 from hostlink.components.recorder.reader import RecordingSource
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, RecordingFailed
 
 _VERSION: Final = 9  # version of rosbag2's metadata, since Iron

@@ -11,7 +11,6 @@ JSON, ROS1, CDR = "json", "ros1", "cdr"
 SCHEMA_ENCODINGS = {ROS1: "ros1msg", JSON: "jsonschema", CDR: "ros2msg"}
 LIBRARY = "hostlink"  # library name in the header of a file that has only wall times: repaired, of another program
 LIBRARY_STEADY = "hostlink; publish_time is steady"
-NS_PER_S = 1_000_000_000  # also of message stamps
 DEVICE, VELOCITY, HOSTLINK = "device", "velocity", "hostlink"  # publishers of a topic
 EVENT, LOG_LINE, PARAMETER_SET = "hostlink.Event", "hostlink.LogLine", "hostlink.Parameters"
 TEXT_TYPE, TEXT_DEFINITION = "std_msgs/String", "string data\n"

@@ -17,6 +17,7 @@ from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.core.runtime.detached import DetachedThread
 from hostlink.core.runtime.folders import FolderOwner
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.core.runtime.whole_file import replace_file
 
 PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is released and pressed again
@@ -301,7 +302,7 @@ class DriveLog:
     async def _finish(self) -> None:
         while True:
             await self._is_open.wait()
-            await asyncio.sleep(PAUSE_NS / 1e9)
+            await asyncio.sleep(PAUSE_NS / NS_PER_S)
             finished = self._drives.pop_finished(time.time_ns())
             self._recent.extend(finished)
             await self._write([drive for drive in finished if not drive.end])  # the others are written already

@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-from hostlink.components.recorder.channel import NS_PER_S, Channel
+from hostlink.components.recorder.channel import Channel
 from hostlink.components.recorder.definitions import why_unknown
 from hostlink.components.recorder.reader import RecordingSource, open_source
 from hostlink.components.recorder.tables import decoder_of, flat
 from hostlink.core.runtime.plain_text import csv_text
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, RecordingFailed, UnknownFormat
 
 MAX_NAMED = 10  # topics named in a refusal

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hostlink.core.runtime.folders import FolderOwner, state_folder
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadRequest
 
 # -- disk budget ------------------------------------------------------------------------------------------------------
@@ -54,7 +55,7 @@ def default_folder() -> Path:
 
 def file_stamp(stamp_ns: int) -> str:
     """Return a wall time for the name of a file, in UTC: `2026-11-22T07-40-57Z`."""
-    return time.strftime("%Y-%m-%dT%H-%M-%SZ", time.gmtime(stamp_ns // 1_000_000_000))
+    return time.strftime("%Y-%m-%dT%H-%M-%SZ", time.gmtime(stamp_ns // NS_PER_S))
 
 
 def is_name(name: str) -> bool:

@@ -7,13 +7,14 @@ from typing import Any, Generic, Literal, TypeVar
 
 import msgspec
 
-from hostlink.components.recorder.channel import DEVICE, EVENT, NS_PER_S, VELOCITY, Channel, json_of
+from hostlink.components.recorder.channel import DEVICE, EVENT, VELOCITY, Channel, json_of
 from hostlink.components.recorder.ring import Entry
 from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.kinematics import Pose, frame_of, placed
 from hostlink.core.robot.odometry import OdometryEstimator
 from hostlink.core.robot.readings import READERS
 from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload
 
 Sample = TypeVar("Sample")

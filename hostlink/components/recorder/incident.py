@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from hostlink.components.recorder.channel import NS_PER_S, Channel
+from hostlink.components.recorder.channel import Channel
 from hostlink.components.recorder.folder import Folder, StoredFile, file_stamp
 from hostlink.components.recorder.reader import McapReader
 from hostlink.components.recorder.ring import Entry
 from hostlink.core.robot.events import HOST_AWAY, LEASE_ENDED, ORDERLY, EventKind, RobotEvent
 from hostlink.core.robot.velocity import ZERO
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import RecordingFailed
 
 # -- incident ---------------------------------------------------------------------------------------------------------

@@ -4,10 +4,11 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from hostlink.components.recorder.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
+from hostlink.components.recorder.channel import DEVICE, ROS1, VELOCITY, Channel
 from hostlink.components.recorder.reader import StoredMessage
 from hostlink.core.robot.admission import LEASE_S, NOT_PLANAR
 from hostlink.core.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity, Twist
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload
 
 _MOVING = ("Twist", "TwistStamped", "")  # last part of a type's name; empty: the type is the topic's own

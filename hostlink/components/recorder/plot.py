@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hostlink.components.recorder.channel import NS_PER_S, Channel
+from hostlink.components.recorder.channel import Channel
 from hostlink.components.recorder.history import Thinned
 from hostlink.components.recorder.reader import RecordingSource
 from hostlink.components.recorder.tables import Decoders, flat
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import RecordingFailed
 
 MAX_POINTS = 4000  # of a line, up to twice as many at a time; a picture has 1200 pixels, and each point costs memory

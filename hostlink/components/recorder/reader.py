@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from hostlink.components.recorder.channel import CDR, LIBRARY_STEADY, NS_PER_S, ROS1, SCHEMA_ENCODINGS, Channel
+from hostlink.components.recorder.channel import CDR, LIBRARY_STEADY, ROS1, SCHEMA_ENCODINGS, Channel
 from hostlink.components.recorder.definitions import need_rosbags
 from hostlink.components.recorder.mcap_format import (
     CHANNEL_OFFSET,
@@ -32,6 +32,7 @@ from hostlink.components.recorder.mcap_format import (
     Opcode,
     unpack_chunk,
 )
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import RecordingFailed
 
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a larger length is damage and is not read into memory

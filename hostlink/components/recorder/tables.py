@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hostlink.components.recorder.channel import JSON, NS_PER_S, ROS1, Channel, json_of
+from hostlink.components.recorder.channel import JSON, ROS1, Channel, json_of
 from hostlink.components.recorder.definitions import ros1_type, ros2_type
 from hostlink.components.recorder.reader import RecordingSource, StoredMessage, open_source
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, UnknownFormat
 
 Column = NDArray[Any]

@@ -15,7 +15,7 @@ import lz4.frame
 from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.msg import normalize_msgtype
 
-from hostlink.components.recorder.channel import NS_PER_S
+from hostlink.core.runtime.units import NS_PER_S
 
 MAGIC = b"#ROSBAG V2.0\n"
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a larger length is damage and is not read into memory

@@ -39,6 +39,7 @@ from hostlink.components.ros2.velocity import VelocityDriver
 from hostlink.core.mirror.inbox import ThreadInbox
 from hostlink.core.robot.velocity import Twist
 from hostlink.core.runtime.log_budget import Budget
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, HostlinkError
 
 if TYPE_CHECKING:
@@ -62,7 +63,6 @@ def definitions(type_name: str) -> dict[str, Fields]:
 
 
 INBOX_DEPTH = 64  # messages of a topic from ROS 2 that wait to be sent
-_NS_PER_S = 1_000_000_000
 COMMAND_INBOX_DEPTH = 8  # of all publishers of a velocity topic
 CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
 
@@ -195,7 +195,7 @@ class Routes:
                 async for message, info, came_s in inbox:
                     twist = _twist(message.twist if is_stamped else message)
                     is_first = info.get("publication_sequence_number") == 1
-                    sent_s = int(info.get("source_timestamp") or 0) / _NS_PER_S or None
+                    sent_s = int(info.get("source_timestamp") or 0) / NS_PER_S or None
                     who = sender(route, info)
                     self._velocity.receive(route, twist, who, came_s=came_s, sent_s=sent_s, is_first=is_first)
 
@@ -245,7 +245,7 @@ class Routes:
 def waited_s(info: Mapping[str, Any], now_ns: int) -> float:
     """Return how long a message waited until rclpy took it; 0 where the middleware does not tell when it came."""
     received_ns = int(info.get("received_timestamp") or 0)
-    return max(now_ns - received_ns, 0) / _NS_PER_S if received_ns > 0 else 0.0
+    return max(now_ns - received_ns, 0) / NS_PER_S if received_ns > 0 else 0.0
 
 
 def sender(route: VelocityInput, info: Mapping[str, Any]) -> bytes | str:

@@ -15,6 +15,7 @@ import xxhash
 
 from hostlink.components.graphs.ros2_names import Qos, is_ros2_name
 from hostlink.core.robot.admission import LEASE_S, Freshness
+from hostlink.core.runtime.units import NS_PER_S
 
 _TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 _DDS_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)::(msg|srv|action)::dds_::([A-Za-z][A-Za-z0-9_]*)_")
@@ -234,7 +235,6 @@ def _number(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() and len(text) <= 20 else None  # noqa: PLR2004 - a uint64's digits
 
 
-_NS_PER_S: Final = 1_000_000_000
 MAX_TOKENS: Final = 8192
 MAX_TOKENS_OF_SESSION: Final = 2048  # of one process; a node of ROS 2 has ten or more
 
@@ -380,9 +380,9 @@ class SourceClock:
     def late_s(self, sequence_number: int, source_ns: int, now_s: float) -> float:
         """Seconds that a message waited longer on its way than the quickest before it."""
         number, time_ns = self._newest
-        gap_s = (source_ns - time_ns) / _NS_PER_S if 0 < number < sequence_number - 1 else 0.0
+        gap_s = (source_ns - time_ns) / NS_PER_S if 0 < number < sequence_number - 1 else 0.0
         if sequence_number > number and source_ns < time_ns:
             self._freshness = Freshness()
         self._newest = max(self._newest, (sequence_number, source_ns))
-        late_s = self._freshness.late_s(source_ns / _NS_PER_S, now_s)
+        late_s = self._freshness.late_s(source_ns / NS_PER_S, now_s)
         return late_s if gap_s < LEASE_S else max(late_s, gap_s)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from hostlink.core.diagnosis.finding import Finding, finding
 from hostlink.core.diagnosis.motion_monitor import NO_MOTION, MotionEvidence
 from hostlink.core.protocol.noise import Noise, explain_unreadable
+from hostlink.core.runtime.units import NS_PER_S
 
 # -- host clock -------------------------------------------------------------------------------------------------------
 
@@ -17,7 +18,6 @@ MIN_WALL_NS = (
 )
 STEP_S = 0.5  # NTP slews smaller offsets (128 ms) and steps larger ones
 REMEMBERED_S = 30.0  # at least as long as any evidence
-_NS_PER_S = 1_000_000_000
 
 
 class HostClock:
@@ -30,7 +30,7 @@ class HostClock:
 
     def check(self, now_s: float, wall_ns: int) -> str:
         """Return what is wrong with the clock; empty if it is right."""
-        offset_s = wall_ns / _NS_PER_S - now_s
+        offset_s = wall_ns / NS_PER_S - now_s
         if self._offset_s is not None and abs(offset_s - self._offset_s) > STEP_S:
             self._step_s, self._stepped_at_s = offset_s - self._offset_s, now_s
         self._offset_s = offset_s

@@ -20,6 +20,7 @@ from hostlink.core.diagnosis.motion_monitor import MotionMonitor
 from hostlink.core.protocol import events
 from hostlink.core.protocol.session import DeviceSession
 from hostlink.core.runtime.host_pauses import HostPauses
+from hostlink.core.runtime.units import NS_PER_S
 
 SAMPLE_INTERVAL_S = 1.0
 MAX_SAMPLES = int(RECENT_S / SAMPLE_INTERVAL_S) + 1
@@ -150,7 +151,7 @@ class LinkMonitor:
             self.motion.sample(now_s)
             offset_ns = self._session.device_clock.offset_ns
             if offset_ns is not None:
-                self._stamps_behind_s.append(offset_ns / 1e9)
+                self._stamps_behind_s.append(offset_ns / NS_PER_S)
                 del self._stamps_behind_s[:-STAMPS_SAMPLES]
 
     def exclude_waited(self) -> None:

@@ -45,6 +45,7 @@ from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, T
 from hostlink.core.robot.velocity_gate import Unlimited, VelocityGate
 from hostlink.core.runtime.logs import printable
 from hostlink.core.runtime.loop_time import loop_time_s
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, WrongType
 
 if TYPE_CHECKING:
@@ -98,7 +99,6 @@ class ShownNames:
 _SIX_NUMBERS = (TWIST_TYPE, TWIST_STAMPED_TYPE)
 _HEADER = Field("header", "std_msgs/Header")
 _STAMP = struct.Struct("<4xII")  # seq, secs, nsecs
-_NS_PER_S = 1_000_000_000
 EARLY_MESSAGES, EARLY_BYTES = 128, 65536  # three seconds of the project's robot
 MAX_PARAMETERS = 64  # answers that are kept; a name can be as long as a frame
 COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
@@ -523,7 +523,7 @@ class Device:
         """Use a header's stamp as a sample of the device's clock."""
         if len(payload) >= _STAMP.size:
             secs, nsecs = _STAMP.unpack_from(payload)
-            stamp_ns, now_s = secs * _NS_PER_S + nsecs, self.link.received_at_s
+            stamp_ns, now_s = secs * NS_PER_S + nsecs, self.link.received_at_s
             self.link.session.device_clock.update(stamp_ns, at_ns=time.time_ns(), now_s=now_s)
 
     def _end_odometry(self) -> None:

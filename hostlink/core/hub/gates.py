@@ -42,6 +42,7 @@ from hostlink.core.runtime.arrival import SETTLE_S
 from hostlink.core.runtime.host_pauses import HostPauses
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.loop_time import loop_time_s
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind
 
 if TYPE_CHECKING:
@@ -111,7 +112,6 @@ TICK_S = 0.05  # between two steps of a ramp; the end of a lease is a step, too
 MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop must not wait for them
 FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
 MAX_GUARDED = 16  # velocity topics of a device that the guardian stops; each is a record to it
-_NS_PER_S = 1_000_000_000
 ENDING = "hostlink is stopping and accepts no commands"
 
 
@@ -155,7 +155,7 @@ class VelocityTarget(ABC):
             WrongType: the message has another type.
         """
         twist, stamp_ns = self.decode(message)
-        stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
+        stamp_age_s = (time.time_ns() - stamp_ns) / NS_PER_S if stamp_ns else None
         self.receive_twist(
             twist, message.source, message.priority, message.at_s, epoch=message.epoch, stamp_age_s=stamp_age_s
         )

@@ -2,7 +2,8 @@
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+import threading
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import msgspec
@@ -44,10 +45,15 @@ class NamesFile:
     def __init__(self, folder: Path) -> None:
         self.path = folder / FILE
         self._owner = FolderOwner(folder, "a daemon")
+        self._turn = threading.Lock()
+        self._has_ended = False
 
     def read(self) -> Names:
         """Return the names; none if there is no file. A damaged file is set aside."""
-        self._owner.claim()
+        with self._claimed():
+            return self._read()
+
+    def _read(self) -> Names:
         try:
             with self.path.open("rb") as file:
                 data = file.read(MAX_FILE_BYTES + 1)
@@ -66,12 +72,25 @@ class NamesFile:
 
     def write(self, names: Names) -> None:
         """Write the whole file or nothing."""
-        self._owner.claim()
-        replace_file(self.path, msgspec.json.encode(names))
+        with self._claimed():
+            replace_file(self.path, msgspec.json.encode(names))
 
     def release(self) -> None:
-        """Leave the file to another daemon."""
-        self._owner.release()
+        """Leave the file to another daemon: now, or when the thread that uses it now is ready."""
+        self._has_ended = True
+        if self._turn.acquire(blocking=False):
+            self._turn.release()
+            self._owner.release()
+
+    @contextlib.contextmanager
+    def _claimed(self) -> Iterator[None]:
+        try:
+            with self._turn:
+                self._owner.claim()
+                yield
+        finally:
+            if self._has_ended:
+                self._owner.release()
 
 
 class KeptNames:
@@ -111,8 +130,7 @@ class KeptNames:
                 while self._thread.is_busy:  # noqa: ASYNC110 - the thread tells only its caller, who was cancelled
                     await asyncio.sleep(LAST_INTERVAL_S)
         await self._save(LAST_TIMEOUT_S)
-        if not self._thread.is_busy:  # a thread that still writes keeps the file to the end of the process
-            self._file.release()
+        self._file.release()
 
     async def _save(self, timeout_s: float | None) -> None:
         names = self._links.remembered

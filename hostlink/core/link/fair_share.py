@@ -10,6 +10,9 @@ from hostlink.core.runtime.arrival import SETTLE_S, Arrival
 from hostlink.core.transport.base import READ_BYTES
 
 TURN_S = 0.0002  # for all of them together, so that a command for a robot is handled within a few turns of the loop
+# The same with what is urgent, which waits for no turn before that; or so many pieces of work, because each takes
+# longer than TURN_S on a busy machine.
+URGENT_TURN_S, URGENT_PIECES = 0.001, 5
 # Of four parts of the time belong to calm readers while they wait: one piece of a flood can cost ten turns.
 CALM_PARTS = 3
 MAX_DEFERRALS = 3  # afterwards one is admitted although the turn is used up, so that no one starves
@@ -30,6 +33,7 @@ class FairShare:
         self.waits = 0  # number of waits so far
         self.came_s = came_s
         self._spent_s = 0.0  # used time of this turn
+        self._pieces = 0  # of work in this turn
         self._owed_s = 0.0  # time for calm readers, if they wait, before a flood has its next turn
         self._is_turn_due = False
         self._calm: _Queue = deque()
@@ -38,6 +42,11 @@ class FairShare:
     def is_free(self, *, is_flooding: bool = False) -> bool:
         """Whether `wait` would return at once: the turn is not used up, and no other reader waits before this one."""
         return self._spent_s < TURN_S and not self._calm and not (is_flooding and self._flooding)
+
+    @property
+    def is_free_for_urgent(self) -> bool:
+        """Whether a velocity may be executed at once, also before readers that wait."""
+        return self._spent_s < URGENT_TURN_S or self._pieces < URGENT_PIECES
 
     async def wait(self, expected_s: float, *, is_flooding: bool = False) -> None:
         """Wait until the caller may compute for about `expected_s`. Return at once while the turn is not used up."""
@@ -64,6 +73,7 @@ class FairShare:
     def spend(self, seconds: float) -> None:
         """Subtract computing time from the turn. A turn ends only when it is used up."""
         self._spent_s += seconds
+        self._pieces += 1
         if self._spent_s >= TURN_S and not self._is_turn_due:
             self._expect_turn()
 
@@ -75,7 +85,7 @@ class FairShare:
     def _begin_turn(self) -> None:
         """Start a turn: admit as many as are expected to fill it. Calm readers go first while they have time left."""
         self._is_turn_due = False
-        self._spent_s = 0.0
+        self._spent_s, self._pieces = 0.0, 0
         if not (self._calm or self._flooding):
             return
         left_s = TURN_S

@@ -12,6 +12,7 @@ from hostlink.core.messages.fields import BUILT_IN, Field
 from hostlink.core.messages.message_type import SEPARATOR, MessageType, ServiceType
 from hostlink.core.messages.parsing import Definition, parse_message, parse_service
 from hostlink.core.runtime.text_file import read_text
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import ConfigError, WrongType
 
 # -- folders ----------------------------------------------------------------------------------------------------------
@@ -171,7 +172,6 @@ class _Builder:
 CLOCK: Final = "/clock"
 CLOCK_TYPE: Final = "rosgraph_msgs/Clock"
 _TIME = struct.Struct("<II")
-_NS_PER_S = 1_000_000_000
 
 
 def decode_clock(payload: bytes) -> int | None:
@@ -179,12 +179,12 @@ def decode_clock(payload: bytes) -> int | None:
     if len(payload) != _TIME.size:
         return None
     secs, nsecs = _TIME.unpack(payload)
-    return int(secs * _NS_PER_S + nsecs)
+    return int(secs * NS_PER_S + nsecs)
 
 
 def to_time(stamp_ns: int) -> dict[str, int]:
     """Return a time as a message has it."""
-    secs, nsecs = divmod(stamp_ns, _NS_PER_S)
+    secs, nsecs = divmod(stamp_ns, NS_PER_S)
     return {"secs": secs, "nsecs": nsecs}
 
 

@@ -7,6 +7,8 @@ The minimum over many messages is the offset over the shortest travel time; the 
 
 from dataclasses import dataclass
 
+from hostlink.core.runtime.units import NS_PER_S
+
 WRAP_NS = 2**32 * 1_000_000  # a device counts milliseconds in 32 bits: 49.7 days
 STEP_NS = 1_000_000_000  # a stamp further away is damaged, or a clock was set
 STEP_AFTER_S = 5.0  # accept a changed offset that lasts longer: two time requests of the device
@@ -15,7 +17,6 @@ BUCKET_S = 10.0  # one bucket keeps the smallest offset of about four time reque
 BUCKETS = 60  # ten minutes, for the drift
 RECENT_BUCKETS = 3  # 30 s, for the offset
 DRIFT_SPAN_S = 60.0  # over less, jitter of milliseconds would appear as drift
-_NS_PER_S = 1e9
 
 
 @dataclass(slots=True)
@@ -100,7 +101,7 @@ class DeviceClock:
             return None
         first = self._buckets[0]
         times_s = [bucket.at_s - first.at_s for bucket in self._buckets]
-        behinds_s = [(bucket.least_ns - first.least_ns) / _NS_PER_S for bucket in self._buckets]
+        behinds_s = [(bucket.least_ns - first.least_ns) / NS_PER_S for bucket in self._buckets]
         mean_time_s, mean_s = sum(times_s) / len(times_s), sum(behinds_s) / len(behinds_s)
         variance = sum((time_s - mean_time_s) ** 2 for time_s in times_s)
         pairs = zip(times_s, behinds_s, strict=True)
@@ -111,7 +112,7 @@ class DeviceClock:
         offset_ns = self.offset_ns
         if (offset_ns, round_trip_s, self.answer_s) == (None, None, None):
             return None
-        offset_s = None if offset_ns is None else offset_ns / _NS_PER_S
+        offset_s = None if offset_ns is None else offset_ns / NS_PER_S
         return ClockReading(offset_s, self.drift_ppm, round_trip_s, self.answer_s)
 
     def _behind_ns(self, stamp_ns: int, at_ns: int) -> int:

@@ -18,6 +18,7 @@ from hostlink.core.robot.velocity import (
     PlanarVelocity,
     Twist,
 )
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, ConfigError, WrongType
 
 ACKERMANN_TYPE: Final = "ackermann_msgs/AckermannDrive"
@@ -28,7 +29,6 @@ CHAR_TYPE: Final = "std_msgs/Char"
 TEXT_TYPES: Final = (STRING_TYPE, CHAR_TYPE)
 ACKERMANN_TYPES: Final = (ACKERMANN_TYPE, ACKERMANN_STAMPED_TYPE)
 
-_NS_PER_S = 1_000_000_000
 _MAX_SECS = 0xFFFFFFFF
 _HEADER: Final = struct.Struct("<IIII")  # seq, secs, nsecs, length of frame_id
 _LENGTH: Final = struct.Struct("<I")
@@ -466,7 +466,7 @@ def _planar(velocity: AnyVelocity) -> PlanarVelocity:
 
 
 def _header(frame: bytes, stamp_ns: int) -> bytes:
-    secs, nsecs = divmod(stamp_ns, _NS_PER_S)
+    secs, nsecs = divmod(stamp_ns, NS_PER_S)
     return _HEADER.pack(0, secs & _MAX_SECS, nsecs, len(frame)) + frame
 
 
@@ -476,7 +476,7 @@ def _split_header(type_name: str, payload: bytes) -> tuple[int, bytes]:
         _, secs, nsecs, frame_bytes = _HEADER.unpack_from(payload)
     except struct.error as error:
         raise BadPayload(type_name, f"{len(payload)} bytes are too few for a header") from error
-    return secs * _NS_PER_S + nsecs, payload[_HEADER.size + frame_bytes :]
+    return secs * NS_PER_S + nsecs, payload[_HEADER.size + frame_bytes :]
 
 
 def _float32(value: float) -> float:

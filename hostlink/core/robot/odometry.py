@@ -9,6 +9,7 @@ from typing import NamedTuple
 from hostlink.core.robot.kinematics import Pose, chord_per_arc, frame_of, is_near_origin, placed, wrap_angle
 from hostlink.core.robot.readings import FARTHEST_M
 from hostlink.core.robot.velocity import PlanarVelocity
+from hostlink.core.runtime.units import NS_PER_S
 
 
 class WheelWay(NamedTuple):
@@ -60,8 +61,6 @@ def wheel_way(before: Pose, after: Pose, separation_m: float) -> WheelWay:
     turning_m = turned_rad * separation_m / 2
     return WheelWay(arc_m - turning_m, arc_m + turning_m, dy_m * cos - dx_m * sin)
 
-
-_NS_PER_S = 1_000_000_000
 
 WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
 CLOSEST_S = 0.005  # of those that are kept of a device that publishes faster
@@ -304,7 +303,7 @@ class OdometryEstimator:
             del window[0]
         self._newest, self._arrived_s = None if pose is None else new, now_s
         if not is_stamped and sent_s < now_s:
-            wall_ns -= round((now_s - sent_s) * _NS_PER_S)
+            wall_ns -= round((now_s - sent_s) * NS_PER_S)
         self._twist, self._is_moving = None if twist is None else self._true_twist(twist), is_moving
         if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:
             self._stamp_ns = wall_ns

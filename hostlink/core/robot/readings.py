@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from hostlink.core.robot.kinematics import Pose, wrap_angle, yaw_of
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload
 
 POSE_TYPE, ODOMETRY_TYPE = "geometry_msgs/Pose2D", "nav_msgs/Odometry"
@@ -54,7 +55,6 @@ Reader = Callable[[bytes], OdometryReading]
 FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
 SHORTEST_QUATERNION, LONGEST_QUATERNION = 0.9, 1.1  # float32 rounds to 1e-7, four decimals in a text to 1e-4
 EXACT = 1e-3  # of a quaternion that has only z: half a turn, if its length is 1
-_NS_PER_S = 1_000_000_000
 _POSE2D = struct.Struct("<3d")
 _HEADER = struct.Struct("<4xIII")  # seq, secs, nsecs, length of frame_id
 _LENGTH = struct.Struct("<I")
@@ -116,7 +116,7 @@ def _read(type_name: str, parts: _Parts, payload: bytes) -> OdometryReading:
         if parts.has_header:
             secs, nsecs, frame_bytes = _HEADER.unpack_from(payload)
             at = _HEADER.size + frame_bytes
-            stamp_ns = secs * _NS_PER_S + nsecs
+            stamp_ns = secs * NS_PER_S + nsecs
             if not stamp_ns:
                 flaws.append(Flaw.ZERO_STAMP)
             if frame_bytes and payload[_HEADER.size] == _SLASH:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from hostlink.core.robot.kinematics import Drive, Pose
 from hostlink.core.robot.readings import OdometryReading
+from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, ConfigError
 
 JOINT_STATE_TYPE = "sensor_msgs/JointState"
@@ -20,7 +21,6 @@ _ARRAYS = {f"std_msgs/{name}MultiArray": struct.Struct(f"<{code}") for name, cod
 _BITS = {"b": 8, "B": 8, "h": 16, "H": 16, "i": 32, "I": 32, "q": 64, "Q": 64}  # a float does not wrap around
 _COUNT = struct.Struct("<I")
 _HEADER = struct.Struct("<4xIII")
-_NS_PER_S = 1_000_000_000
 MOST_ELEMENTS = 64  # of an array or of a JointState: an arm has six, a walking robot twelve
 _DIMENSION_BYTES = 8  # size and stride, after the label
 
@@ -140,7 +140,7 @@ class WheelReader:
         missing = [name for name in self._joints if name not in values]
         if missing:
             raise ValueError(f"{missing[0]!r} has no {'velocity' if self._is_speed else 'position'}")
-        return tuple(values[name] for name in self._joints), secs * _NS_PER_S + nsecs
+        return tuple(values[name] for name in self._joints), secs * NS_PER_S + nsecs
 
 
 def _counted(payload: bytes, at: int) -> tuple[int, int]:

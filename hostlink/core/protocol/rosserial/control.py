@@ -11,12 +11,12 @@ from typing import Any, NamedTuple, TypeVar
 
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import LOG_LEVELS, Parameter
+from hostlink.core.runtime.units import NS_PER_S
 
 _U32 = Struct("<I")
 _I32 = Struct("<i")
 _TIME = Struct("<II")
 _TOPIC_ID = Struct("<H")
-_NS_PER_S = 1_000_000_000
 _MAX_NAME_BYTES = 255
 
 Item = TypeVar("Item")
@@ -85,7 +85,7 @@ def _read_log(reader: "_PayloadReader") -> Log:
 
 def encode_time(wall_ns: int) -> bytes:
     """Encode a time answer: seconds and nanoseconds since 1970."""
-    seconds, nanoseconds = divmod(wall_ns, _NS_PER_S)
+    seconds, nanoseconds = divmod(wall_ns, NS_PER_S)
     return _TIME.pack(seconds & 0xFFFFFFFF, nanoseconds)
 
 

@@ -24,6 +24,7 @@ from hostlink.components.gateway.write_pace import LEAST_BYTES, SLOW_S, WRITE_BY
 from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.queue import MAX_RESULTS
+from hostlink.core.link.fair_share import TURN_S, URGENT_PIECES, URGENT_TURN_S
 from hostlink.core.runtime.latency import Latency
 from tests.support.fake_device import CATALOG
 from tests.support.hosts import host_in
@@ -615,7 +616,8 @@ async def test_velocity_waits_behind_what_waits(obstacle: str) -> None:
             for _ in range(MAX_RESULTS // 2 + 1):
                 made.queue.put_result(Outgoing(b"answer"))
         elif obstacle == "turn":
-            made.hub.turns().end(asyncio.get_running_loop().time() - 1.0)
+            for _ in range(URGENT_PIECES):
+                made.hub.turns().end(asyncio.get_running_loop().time() - 1.0)
         else:
             made.socket.closed = True
         assert not made.socket.on_message(b"a=1")
@@ -638,3 +640,21 @@ def test_failure_of_a_velocity_at_once_ends_the_client() -> None:
 
 def _fail(data: bytes, came_s: float) -> bool:
     raise ZeroDivisionError
+
+
+@virtual
+async def test_velocity_is_executed_although_a_turn_is_used_up_until_velocities_have_used_up_theirs() -> None:
+    async with connected() as made:
+        loop, turns = asyncio.get_running_loop(), made.hub.turns()
+        turns.end(loop.time() - TURN_S)
+        order: list[str] = []
+        turns.call(lambda: order.append("other"), is_flooding=False)
+        assert made.socket.on_message(b"a=1")
+        assert order == []
+        for _ in range(URGENT_PIECES - 3):
+            turns.end(loop.time() - 100 * URGENT_TURN_S)
+        assert made.socket.on_message(b"a=1")  # few pieces of work, which took long on a busy machine
+        assert not made.socket.on_message(b"a=2")
+        await asyncio.sleep(0.01)
+        assert order == ["other"]
+        assert made.socket.on_message(b"a=3")  # in a later turn of the loop

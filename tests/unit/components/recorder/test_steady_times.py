@@ -10,7 +10,7 @@ import pytest
 from hostlink.components.gateway.history import stored_history
 from hostlink.components.recorder import mcap_writer
 from hostlink.components.recorder.black_box import write_incident
-from hostlink.components.recorder.channel import DEVICE, EVENTS, NS_PER_S, Channel, as_text, ros_channel
+from hostlink.components.recorder.channel import DEVICE, EVENTS, Channel, as_text, ros_channel
 from hostlink.components.recorder.folder import Folder
 from hostlink.components.recorder.incident import Incident
 from hostlink.components.recorder.mcap_writer import FileThread, McapWriter
@@ -20,6 +20,7 @@ from hostlink.components.recorder.ring import Entry
 from hostlink.components.recorder.salvage import repair
 from hostlink.components.recorder.tables import read
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.runtime.units import NS_PER_S
 
 DAY_S = 86_400
 COUNT = 480  # ten messages a second

@@ -1,6 +1,8 @@
 """Names of robots over restarts of the daemon: the file, its damage, a second daemon, a disk that refuses."""
 
 import asyncio
+import threading
+import time
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -9,16 +11,24 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.core.config import Config, SerialConfig, TcpConfig, UdpConfig
+from hostlink.core.hub import kept_names as module
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.kept_names import DAMAGED, FILE, MAX_FILE_BYTES, NamesFile, folder_of, kept_names
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.names import Remembered
+from hostlink.core.runtime.folders import FolderTaken
 from tests.support.fake_device import CATALOG, topic
 from tests.support.memory_hub import MemoryHub, RecordingGuard, running
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 V = Remembered("robot_0", "10.0.0.7", True)
 UNNAMED = [topic(EndpointKind.SUBSCRIBER, 100, "cmd_vel", "geometry_msgs/Twist")]
+
+
+@pytest.fixture(autouse=True)
+def _waits_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "DISK_TIMEOUT_S", TIMEOUT_S)
+    monkeypatch.setattr(module, "LAST_TIMEOUT_S", TIMEOUT_S)
 
 
 def in_kept_hub(folder: Path, test: Callable[[MemoryHub], Coroutine[Any, Any, None]]) -> list[dict[str, Any]]:
@@ -35,11 +45,18 @@ def in_kept_hub(folder: Path, test: Callable[[MemoryHub], Coroutine[Any, Any, No
 
 
 def read(folder: Path) -> dict[str, Remembered]:
-    file = NamesFile(folder)
-    try:
-        return file.read()
-    finally:
-        file.release()
+    """Read the file when the hub's thread, which may still write, has left it."""
+    deadline_s = time.monotonic() + TIMEOUT_S
+    while True:
+        file = NamesFile(folder)
+        try:
+            return file.read()
+        except FolderTaken:
+            if time.monotonic() > deadline_s:
+                raise
+            time.sleep(0.01)
+        finally:
+            file.release()
 
 
 async def named(made: MemoryHub, address: str) -> str:
@@ -115,6 +132,28 @@ def test_disk_that_fails_later_is_said_once_and_the_daemon_runs_on(tmp_path: Pat
     with capture_logs() as logs:
         asyncio.run(run())
     assert [each["reason"] for each in logs if each["event"] == "names.not_kept"] == ["no space left"]
+
+
+def test_file_is_free_when_a_write_that_was_not_waited_for_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "LAST_TIMEOUT_S", 0.01)
+    answers = threading.Event()
+
+    def hang(path: Path, data: bytes) -> None:
+        answers.wait(TIMEOUT_S)
+        path.write_bytes(data)
+
+    monkeypatch.setattr(module, "replace_file", hang)
+
+    async def test(made: MemoryHub) -> None:
+        assert await named(made, "10.0.0.7") == "robot_0"
+
+    assert in_kept_hub(tmp_path, test) == []
+    with pytest.raises(FolderTaken):
+        NamesFile(tmp_path).read()
+    answers.set()
+    assert read(tmp_path) == {"robot_0": V}
 
 
 def test_each_port_has_its_own_names_and_a_random_port_has_none(
