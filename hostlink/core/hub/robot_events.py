@@ -50,7 +50,9 @@ Observe = Callable[[RobotEvent], None]
 class RobotEvents:
     """Observers of events. Without observers, no event is created."""
 
-    def __init__(self) -> None:
+    def __init__(self, wall_ns: Callable[[], int] = time.time_ns) -> None:
+        """`wall_ns` returns the time of day for the events."""
+        self._wall_ns = wall_ns
         self._observers: dict[Hashable, Observe] = {}
 
     def observe(self, key: Hashable, receive: Observe) -> None:
@@ -64,6 +66,6 @@ class RobotEvents:
     def note(self, kind: EventKind, robot: str, **facts: object) -> None:
         """Pass an event of this moment to all observers."""
         if self._observers:
-            event = RobotEvent(kind, robot, asyncio.get_running_loop().time(), time.time_ns(), facts)
+            event = RobotEvent(kind, robot, asyncio.get_running_loop().time(), self._wall_ns(), facts)
             for receive in tuple(self._observers.values()):
                 receive(event)

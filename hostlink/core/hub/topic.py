@@ -143,13 +143,20 @@ class Topic:
     """
 
     __slots__ = (
-        "_budget", "_deliveries", "_expected", "_is_gated", "_number", "_snapshot", "_subscribers",
+        "_budget", "_deliveries", "_expected", "_is_gated", "_number", "_snapshot", "_subscribers", "_wall_ns",
         "devices", "earlier", "latched", "messages", "name", "publishers", "rank", "type", "type_name",
     )  # fmt: skip
 
-    def __init__(self, name: str, deliveries: Deliveries | None = None, budget: ByteBudget | None = None) -> None:
-        """`deliveries` and `budget` are those of the graph."""
+    def __init__(
+        self,
+        name: str,
+        deliveries: Deliveries | None = None,
+        budget: ByteBudget | None = None,
+        wall_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """`deliveries`, `budget` and `wall_ns`, the time of day, are those of the graph."""
         self.name = name
+        self._wall_ns = wall_ns
         self.type_name = ""  # until a publisher or subscriber names it
         self.type: MessageType | None = None
         self.rank = PROGRAM_RANK  # of the user that named the type
@@ -275,7 +282,7 @@ class Topic:
             self.type,
             payload,
             source=source,
-            stamp_ns=time.time_ns(),
+            stamp_ns=self._wall_ns(),
             at_s=at_s,
             priority=priority,
             epoch=epoch,
@@ -294,7 +301,9 @@ class Topic:
             self.messages += 1
 
     def _message(self, payload: bytes, source: Hashable, at_s: float) -> Message:
-        return Message(self.name, self.type_name, self.type, payload, source=source, stamp_ns=time.time_ns(), at_s=at_s)
+        return Message(
+            self.name, self.type_name, self.type, payload, source=source, stamp_ns=self._wall_ns(), at_s=at_s
+        )
 
     def _pass_to_devices(self, message: Message) -> HostlinkError | None:
         refusal = None
