@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import secrets
 import time
 from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping
@@ -33,6 +34,7 @@ from hostlink.core.hub.standstills import LockServices, Standstills
 from hostlink.core.hub.topic_graph import TopicGraph
 from hostlink.core.link.fair_share import FairShare, Turns
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.robot.admission import EPOCH_BITS
 from hostlink.core.robot.names import Places
 from hostlink.core.runtime.logs import log_what_is_missing
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -65,6 +67,10 @@ SHUTDOWN_TIMEOUT_S = 0.5
 LOG_INTERVAL_S = 10.0  # between two lines about dropped log lines
 
 
+def _draw_epoch() -> int:
+    return secrets.randbits(EPOCH_BITS)
+
+
 class Hub:
     """Everything that is connected. Methods are synchronous, so each is atomic; only services wait.
 
@@ -81,14 +87,15 @@ class Hub:
         slept_s: Callable[[], float] = lambda: 0.0,
         computed_s: Callable[[], float] = loop_time_s,
         wall_ns: Callable[[], int] | None = None,
+        first_epoch: Callable[[], int] = _draw_epoch,
     ) -> None:
         """Connect nothing yet.
 
         `slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out.
         `computed_s` returns the CPU time of the event loop's thread, without the time for which it waited for a core.
-        `wall_ns` returns the time of day; None: that of the computer.
+        `wall_ns` returns the time of day; None: that of the computer. `first_epoch` draws that of a robot.
         """
-        self.config, self.catalog = config, catalog
+        self.config, self.catalog, self.first_epoch = config, catalog, first_epoch
         self.wall_ns = time.time_ns if wall_ns is None else wall_ns
         self.is_running = asyncio.Event()  # `spawn` works when it is set
         self.counts = Counts()
