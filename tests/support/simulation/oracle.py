@@ -94,9 +94,10 @@ class History:
         """Return by how much the daemon may be wrong about times between these."""
         return self.slack_s + (BEAT_S if self.is_late(since_s, until_s) else 0.0)
 
-    def awake_s(self, at_s: float) -> float:
-        """Return the time, or the end of the pause in which it is."""
-        return max((pause.at_s for pause in self.pauses if pause.began_s <= at_s < pause.at_s), default=at_s)
+    def awake_s(self, at_s: float, given_s: float) -> float:
+        """Return the time; the end of the pause in which it is, if a command was given before: its frame may wait."""
+        pauses = (each for each in self.pauses if given_s <= each.began_s <= at_s < each.at_s)
+        return max((each.at_s for each in pauses), default=at_s)
 
     def is_stuck(self, connection: int, since_s: float, until_s: float) -> bool:
         """Whether a connection took nothing at some time between them."""
@@ -135,7 +136,7 @@ def leases(history: History) -> list[tuple[float, str]]:
                 continue
             end_s = limit_s[each.number]
             command = history.commands[each.number][1]
-            allowed_s = history.awake_s(end_s) + history.tolerance_s(command.arrived_s, each.at_s)
+            allowed_s = history.awake_s(end_s, command.at_s) + history.tolerance_s(command.arrived_s, each.at_s)
             if each.at_s > allowed_s:
                 text = f"{each.robot} is sent {each.number} {each.at_s - end_s:.3f} s after its lease"
                 broken.append((each.at_s, text))

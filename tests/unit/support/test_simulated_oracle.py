@@ -7,6 +7,7 @@ import pytest
 
 from hostlink.core.hub.gates import Gates
 from hostlink.core.hub.queue import Queue
+from hostlink.core.hub.stall_watch import StallWatch
 from hostlink.core.hub.topic import Topic
 from hostlink.core.robot.admission import Admission, Command, Decision
 from hostlink.core.robot.velocity_gate import VelocityGate
@@ -55,9 +56,9 @@ def keep_who_left(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Gates, "release", lambda *_: None)
 
 
-def read_without_age(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(Gates, "came_s", lambda _, now_s: now_s)
-    patch.setattr(Gates, "timed", lambda _gates, _name, command, now_s: command._replace(received_s=now_s))
+def notice_no_pauses(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(StallWatch, "_notice", lambda *_: 0.0)
+    patch.setattr(StallWatch, "late_s", lambda *_: 0.0)
 
 
 def lose_messages(patch: pytest.MonkeyPatch) -> None:
@@ -96,7 +97,8 @@ def broken(mutate: Callable[[pytest.MonkeyPatch], None], promise: str, seeds: It
         (extend_leases, "after its lease"),
         (lock_nothing, "while it is locked"),
         (keep_who_left, "its source has left"),
-        (read_without_age, "after its lease"),
+        (notice_no_pauses, "after its lease"),
+        (notice_no_pauses, "has not let go since the pause"),
         (lose_messages, "on an intact connection"),
         (keep_queues, "the byte budget holds"),
     ],
