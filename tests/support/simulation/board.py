@@ -74,7 +74,7 @@ class Board:
         self._hang_up()
 
     def hang(self, seconds: float) -> None:
-        """Its program and its line do nothing for a time."""
+        """Stop its program and its line for a time."""
         self._is_hung = True
         self._loop.after(seconds, self._go_on)
         if self.connection is not None:

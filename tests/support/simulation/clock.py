@@ -27,7 +27,7 @@ class NumberedTask(asyncio.Task[Any]):
 class WorldLoop(VirtualLoop):
     """Event loop of the daemon. `at` plans what happens in the world, which has its own exact time, `world_s`.
 
-    While the daemon computes (`burn`), the world goes on: what has happened meanwhile happens at its own time, before
+    While the daemon computes (`burn`), the world continues: what has happened meanwhile happens at its own time, before
     the daemon's next turn. Each turn with work costs `turn_s`.
     """
 

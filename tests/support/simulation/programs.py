@@ -39,7 +39,7 @@ def number_of(linear_m_s: float, angular_rad_s: float) -> int:
 
 
 class Entrance:
-    """Where programs connect. The component that runs accepts them."""
+    """Place where programs connect. The component that runs accepts them."""
 
     def __init__(self, journal: Journal) -> None:
         self.journal = journal
@@ -252,7 +252,7 @@ class Ride:
     period_s: float
     left_s: float
     takes_over: bool
-    is_stubborn: bool  # goes on when it is refused
+    is_stubborn: bool  # continues when it is refused
     end: str
     epoch: tuple[int, float] | None = None  # the first one
 

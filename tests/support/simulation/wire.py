@@ -15,7 +15,7 @@ KEPT_S = 8.0  # TCP_USER_TIMEOUT and keepalive
 
 
 class Peer(Protocol):
-    """What is at the other end of a connection."""
+    """Board or program at the other end of a connection."""
 
     def receive(self, data: bytes) -> None: ...
     def lose_connection(self) -> None: ...
@@ -27,7 +27,7 @@ class Pipe:
     def __init__(self, loop: WorldLoop, habits: Habits, seed: str, deliver: Callable[[bytes], None]) -> None:
         self.line = FaultyLine(habits, seed)
         self.moved_s = loop.world_s  # when bytes arrived last, or none were on their way
-        self.is_dead = False  # nothing arrives any more, and nobody is told
+        self.is_dead = False  # nothing arrives from now on, and neither end is told
         self._loop, self._deliver = loop, deliver
         self._is_planned = False
         self.on_empty: Callable[[], None] = lambda: None

@@ -26,7 +26,7 @@ from tests.support.simulation.wire import Connection
 from tools.faults import Habits, Kind, Span
 
 WALL_NS = 1_800_000_000_000_000_000  # at the start of a run
-RECOVERY_S = 15.0  # in which boards and programs find the daemon again when nothing happens any more
+RECOVERY_S = 15.0  # in which boards and programs find the daemon again after the last fault
 RIDE_S = 1.5
 LEAVE_S = 13.0  # in which the daemon notices that all have left: a silent link ends after 11 s
 
