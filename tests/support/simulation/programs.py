@@ -76,7 +76,8 @@ class Programs(Component[Entrance]):
     def _note(self, event: RobotEvent) -> None:
         if event.kind is EventKind.APPEARED:
             self.settings.journal.add(Appeared(event.at_s, event.robot))
-        self.settings.journal.say(event.at_s, f"event {event.kind.value} {event.robot}", **event.facts)
+        what = f"event {event.kind.value} {event.robot}"
+        self.settings.journal.say(event.at_s, what, stamp_ns=event.stamp_ns, **event.facts)
 
 
 class Client:
@@ -178,6 +179,7 @@ class Client:
             epoch = self._host.robot(robot).epoch
         except HostlinkError:
             return
+        self._journal.say(self._host.now_s, "epoch told", robot=robot, epoch=epoch)
         self._answer({"epoch": epoch, "robot": robot, "learned_s": self._host.now_s})
 
     def _listen(self, participant: Participant, robot: str) -> None:
