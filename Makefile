@@ -60,9 +60,9 @@ help:
 	@echo "make screenshots  pictures of the page, into build/screenshots"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC;"
 	@echo "             WORLD=FILE: in that world)"
-	@echo "make soak    ten minutes of driving on the chain, 5000 drives in drawn worlds, ten minutes over a link that fails, every"
-	@echo "             message counted, and ten of chaos against the daemon (CHAOS_S=3600: an hour, CHAOS_SEED=7: the steps of"
-	@echo "             that seed again)"
+	@echo "make soak    ten minutes of driving on the chain, 5000 drives in drawn worlds, a minute of the daemon in each of 1000"
+	@echo "             simulated worlds, ten minutes over a link that fails, every message counted, and ten of chaos against the"
+	@echo "             daemon (CHAOS_S=3600: an hour, CHAOS_SEED=7: the steps of that seed again)"
 	@echo "make netns   host and robot in two network namespaces: loss, delay, a black-out, another address (as root)"
 	@echo "make fuzz    the property tests with 5,000 examples each, then a minute of atheris or libFuzzer on each reader of bytes"
 
@@ -276,6 +276,7 @@ soak: $(VENV)/.dev
 	HOSTLINK_DRIVES=5000 HOSTLINK_DRIVES_M3=100 $(BIN)/python -m pytest tests/firmware/test_due_sweep.py
 	HOSTLINK_SEEDS=30 $(BIN)/python -m pytest tests/firmware/test_due_calibration.py
 	$(BIN)/python tools/measure_calibration.py
+	$(BIN)/python -m tests.support.simulation 0-999 --processes $(CORES)
 	$(BIN)/python tools/soak_link.py --seconds 600
 	$(BIN)/python tools/soak_recording.py
 	HOSTLINK_RECORDING_KILLS=50 $(BIN)/python -m pytest tests/system/test_record_and_play.py -k killed

@@ -6,7 +6,6 @@ A component offers the robots to something outside: a broker, a cloud, a display
 
 import contextlib
 import itertools
-import time
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import AbstractContextManager
@@ -454,7 +453,7 @@ class Host:
 
     def set_clock(self, wall_ns: Callable[[], int] | None) -> None:
         """Answer devices' requests for the time by this clock, in nanoseconds; None: by the computer's."""
-        self._hub.links.wall_ns = time.time_ns if wall_ns is None else wall_ns
+        self._hub.links.wall_ns = self._hub.wall_ns if wall_ns is None else wall_ns
         self._has_clock = wall_ns is not None
 
     # -- settings -----------------------------------------------------------------------------------------------------

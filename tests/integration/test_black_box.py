@@ -115,9 +115,10 @@ async def test_lock_saves_the_messages_before_and_after_it(tmp_path: Path) -> No
 async def test_ages_are_seconds_though_the_clock_is_set_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    of_system = time.time_ns
+    of_system, set_back_ns = time.time_ns, 0
+    monkeypatch.setattr(time, "time_ns", lambda: of_system() - set_back_ns)
     async with boxed(config(tmp_path)) as (host, device):
-        monkeypatch.setattr(time, "time_ns", lambda: of_system() - 8_640_000 * 1_000_000_000)
+        set_back_ns = 8_640_000 * 1_000_000_000
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         await device.send(pose(1.5, 2.0, 0.5))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 2)

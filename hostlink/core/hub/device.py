@@ -2,7 +2,6 @@
 
 import dataclasses
 import struct
-import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -490,7 +489,7 @@ class Device:
     def _route_refused(self, info: DeviceEndpoint, robot: LocalRobot | None) -> None:
         """Route a robot's odometry even if the graph has another type by this name."""
         if robot is not None and info.kind is EndpointKind.PUBLISHER and self._reads(info, robot):
-            topic = Topic(self.shown.of(info.name))
+            topic = Topic(self.shown.of(info.name), wall_ns=self._hub.wall_ns)
             topic.type, topic.type_name = self._hub.catalog.message(info.type), info.type
             self._route(info, topic, robot)
 
@@ -524,7 +523,7 @@ class Device:
         if len(payload) >= _STAMP.size:
             secs, nsecs = _STAMP.unpack_from(payload)
             stamp_ns, now_s = secs * NS_PER_S + nsecs, self.link.received_at_s
-            self.link.session.device_clock.update(stamp_ns, at_ns=time.time_ns(), now_s=now_s)
+            self.link.session.device_clock.update(stamp_ns, at_ns=self._hub.wall_ns(), now_s=now_s)
 
     def _end_odometry(self) -> None:
         for topic, number in self._odometry:

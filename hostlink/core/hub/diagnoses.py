@@ -3,7 +3,6 @@
 import asyncio
 import concurrent.futures.thread  # noqa: F401 - asyncio imports it for its first thread; then no descriptor may be free
 import dataclasses
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -114,13 +113,14 @@ class Diagnoses:
         pauses: Callable[[float], HostPauses],
         least_bytes: Callable[[str], int],
         slept_s: Callable[[], float],
+        wall_ns: Callable[[], int],
     ) -> None:
         """`events` gets each new finding. `pauses` returns when the host itself did not run.
 
         `least_bytes` returns the size of the smallest message of a type; 0 if the type is unknown. `slept_s` returns
-        for how long the computer has slept so far.
+        for how long the computer has slept so far, `wall_ns` the time of day.
         """
-        self._least_bytes, self._slept_s = least_bytes, slept_s
+        self._least_bytes, self._slept_s, self._wall_ns = least_bytes, slept_s, wall_ns
         self._isolation, self._events, self._pauses = isolation, events, pauses
         words()  # read now: later there may be no descriptor for it
         self.ended: deque[Diagnosis] = deque(maxlen=ENDED_LINKS)
@@ -223,7 +223,7 @@ class Diagnoses:
         """Update every diagnosis once a second, until cancelled."""
         while True:
             now_s = loop_time_s()
-            self._host_clock = self._clock.check(now_s + self._slept_s(), time.time_ns())
+            self._host_clock = self._clock.check(now_s + self._slept_s(), self._wall_ns())
             for diagnosis in list(self._live.values()):
                 with self._isolation.around("diagnosis", link=diagnosis.link.number):
                     await self._observe(diagnosis)

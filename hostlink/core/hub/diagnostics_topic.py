@@ -7,7 +7,6 @@ a turn of its own; a reader joins them by name.
 import asyncio
 import contextlib
 import itertools
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import IntEnum
 from functools import partial
@@ -153,7 +152,7 @@ class DiagnosticsTopic:
         while statuses := [self._named(make()) for make in itertools.islice(makers, ARRAY_STATUSES)]:
             if self._topic.type is None:
                 return
-            header = {"stamp": to_time(time.time_ns())}
+            header = {"stamp": to_time(self._hub.wall_ns())}
             with contextlib.suppress(HostlinkError):  # a device that subscribes may not take it
                 payload = self._topic.type.encode({"header": header, "status": statuses})
                 self._participant.publish(TOPIC, payload)

@@ -119,6 +119,7 @@ class VelocityTarget(ABC):
     """Target of velocities: a velocity topic of a device here, or a robot of another daemon."""
 
     name: str
+    gates: "Gates"
     admission: Admission  # decides whether a command may move it
 
     def join(self, topic: Topic) -> None:
@@ -155,7 +156,7 @@ class VelocityTarget(ABC):
             WrongType: the message has another type.
         """
         twist, stamp_ns = self.decode(message)
-        stamp_age_s = (time.time_ns() - stamp_ns) / NS_PER_S if stamp_ns else None
+        stamp_age_s = (self.gates.wall_ns() - stamp_ns) / NS_PER_S if stamp_ns else None
         self.receive_twist(
             twist, message.source, message.priority, message.at_s, epoch=message.epoch, stamp_age_s=stamp_age_s
         )
@@ -236,7 +237,7 @@ class Drivable(VelocityTarget):
     @property
     def zeros(self) -> tuple[bytes, ...]:
         """Payload for each command topic that stops the device."""
-        return self.commands.encode(ZERO, time.time_ns())
+        return self.commands.encode(ZERO, self.gates.wall_ns())
 
     @property
     def no_stop(self) -> str:
@@ -286,12 +287,14 @@ class Gates:
         events: RobotEvents | None = None,
         *,
         slept_s: Callable[[], float],
+        wall_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         """`guard` stops the devices when this process cannot. `events` gets commands and stops.
 
-        `slept_s` returns for how long the computer has slept so far.
+        `slept_s` returns for how long the computer has slept so far, `wall_ns` the time of day.
         """
         self.events = RobotEvents() if events is None else events
+        self.wall_ns = wall_ns
         self.is_closed = False  # the daemon ends and accepts no commands
         self.providers = Providers()  # of robots of other hosts
         self._isolation, self._guardian = isolation, guard
@@ -646,7 +649,7 @@ class Gates:
                 self._beat(self._driven | {link.number})  # before it moves
             if is_fed and velocity == drivable.sent and not is_zero:
                 return None
-            payloads = drivable.commands.encode(velocity, time.time_ns())
+            payloads = drivable.commands.encode(velocity, self.wall_ns())
             try:
                 self._put(drivable, link, payloads, is_zero=is_zero, is_kept=is_first)
                 # Frames that would delay a stop on a slow line are held back or refused while the robot moves.

@@ -2,6 +2,8 @@
 
 import asyncio
 import contextlib
+import secrets
+import time
 from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
@@ -32,6 +34,7 @@ from hostlink.core.hub.standstills import LockServices, Standstills
 from hostlink.core.hub.topic_graph import TopicGraph
 from hostlink.core.link.fair_share import FairShare, Turns
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.robot.admission import EPOCH_BITS
 from hostlink.core.robot.names import Places
 from hostlink.core.runtime.logs import log_what_is_missing
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -63,6 +66,10 @@ SHUTDOWN_TIMEOUT_S = 0.5
 LOG_INTERVAL_S = 10.0  # between two lines about dropped log lines
 
 
+def _draw_epoch() -> int:
+    return secrets.randbits(EPOCH_BITS)
+
+
 class Hub:
     """Everything that is connected. Methods are synchronous, so each is atomic; only services wait.
 
@@ -79,14 +86,18 @@ class Hub:
         read: Read | None = None,
         slept_s: Callable[[], float] = lambda: 0.0,
         computed_s: Callable[[], float] = loop_time_s,
+        wall_ns: Callable[[], int] | None = None,
+        first_epoch: Callable[[], int] = _draw_epoch,
     ) -> None:
         """Connect nothing yet.
 
         `read` reads the settings again, as a new start would; None if the daemon has no file.
         `slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out.
         `computed_s` returns the CPU time of the event loop's thread, without the time for which it waited for a core.
+        `wall_ns` returns the time of day; None: that of the computer. `first_epoch` draws that of a robot.
         """
-        self.config, self.catalog = config, catalog
+        self.config, self.catalog, self.first_epoch = config, catalog, first_epoch
+        self.wall_ns = time.time_ns if wall_ns is None else wall_ns
         self.is_running = asyncio.Event()  # `spawn` works when it is set
         self.counts = Counts()
         self.listening = Listening()  # set by the listeners
@@ -95,21 +106,23 @@ class Hub:
         self.changes = GraphChanges(computed_s)
         self.budget = ByteBudget()
         self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes the topics of robots that have names of ROS
-        self.topics = TopicGraph(catalog, self.changes, self.budget)
+        self.topics = TopicGraph(catalog, self.changes, self.budget, self.wall_ns)
         self.services = Services(catalog, self.changes)
         self._views: WeakValueDictionary[str, GraphView] = (
             WeakValueDictionary()
         )  # by group, while participants use them
-        self.events = RobotEvents()
+        self.events = RobotEvents(self.wall_ns)
         self.slept_s = slept_s
-        self.gates = Gates(self.isolation, guard, self.events, slept_s=slept_s)
+        self.gates = Gates(self.isolation, guard, self.events, slept_s=slept_s, wall_ns=self.wall_ns)
         self.share = FairShare(self.gates.came_s)  # of the event loop, for links and participants
-        self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses, catalog.least_bytes, slept_s)
+        self.diagnoses = Diagnoses(
+            self.isolation, self.events, self.gates.pauses, catalog.least_bytes, slept_s, self.wall_ns
+        )
         self.robots = Robots(self)
         self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()
         self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
-        self.rosout = Rosout(self.join_daemon())
+        self.rosout = Rosout(self.join_daemon(), self.wall_ns)
         self.links = Links(self)
         self.reloader = Reloader(self, read)
         self._tasks: asyncio.TaskGroup | None = None

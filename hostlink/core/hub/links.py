@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import dataclasses
 import functools
-import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +49,7 @@ class Links:
 
     def __init__(self, hub: "Hub") -> None:
         self.parameter_source: ParameterSource | None = None  # for parameters that are not set here
-        self.wall_ns: Callable[[], int] = time.time_ns  # time in answers to devices
+        self.wall_ns = hub.wall_ns  # time in answers to devices
         self.undelivered = 0  # dropped messages of devices that were not identified yet
         self.late_answers = 0  # answers of devices' services after the timeout of the call
         self.on_named: Callable[[], None] = lambda: None  # called when a robot has its name

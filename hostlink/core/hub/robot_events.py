@@ -45,7 +45,9 @@ class RobotEvents:
     other they cost a third. No observer notices more than the delay, because every other event flushes first.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, wall_ns: Callable[[], int] = time.time_ns) -> None:
+        """`wall_ns` returns the time of day for the events."""
+        self._wall_ns = wall_ns
         self._observers: dict[Hashable, Observe] = {}
         self._later: deque[_Commanded | RobotEvent] = deque()
         self._is_flushing = False
@@ -66,14 +68,14 @@ class RobotEvents:
     ) -> None:
         """Pass an admitted command to all observers; one that continues a drive soon."""
         if self._observers:
-            self._later.append(_Commanded(robot, now_s, time.time_ns(), command, limited))
+            self._later.append(_Commanded(robot, now_s, self._wall_ns(), command, limited))
             if not is_continued or len(self._later) >= MAX_LATER:
                 self.flush()
 
     def note(self, kind: EventKind, robot: str, **facts: object) -> None:
         """Pass an event of this moment to all observers, after those that wait."""
         if self._observers:
-            self._later.append(RobotEvent(kind, robot, asyncio.get_running_loop().time(), time.time_ns(), facts))
+            self._later.append(RobotEvent(kind, robot, asyncio.get_running_loop().time(), self._wall_ns(), facts))
             self.flush()
 
     def flush(self) -> None:

@@ -5,7 +5,6 @@ import contextlib
 import dataclasses
 import itertools
 import math
-import secrets
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import TYPE_CHECKING
@@ -30,7 +29,7 @@ from hostlink.core.hub.robot import (
     shown_reason,
 )
 from hostlink.core.link.link import Link
-from hostlink.core.robot.admission import EPOCH_BITS, Admission, EarlierCommands
+from hostlink.core.robot.admission import Admission, EarlierCommands
 from hostlink.core.robot.command_types import CommandType, TopicType, TwistCommand
 from hostlink.core.robot.events import OTHER_TOPICS, EventKind
 from hostlink.core.robot.feedback import Feedback, FeedbackSettings
@@ -608,7 +607,7 @@ class Robots:
         self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, commands: CommandType, feedback: Feedback
     ) -> LocalRobot:
         config = self._config_of(name, topics.name)
-        admission = Admission(name, epoch=secrets.randbits(EPOCH_BITS))
+        admission = Admission(name, epoch=self._hub.first_epoch())
         robot = LocalRobot(
             name=name,
             gates=self._gates,

@@ -1,7 +1,7 @@
 """Rosout: logs of devices in the daemon's log and as rosgraph_msgs/Log on /rosout; also warnings of the daemon."""
 
 import contextlib
-import time
+from collections.abc import Callable
 
 import structlog
 
@@ -21,8 +21,9 @@ _METHODS = ("debug", "info", "warning", "error", "error")  # methods of the log,
 class Rosout:
     """Publisher of /rosout for all devices."""
 
-    def __init__(self, participant: Participant) -> None:
-        self._participant = participant
+    def __init__(self, participant: Participant, wall_ns: Callable[[], int]) -> None:
+        """`wall_ns` returns the time of day for the stamps."""
+        self._participant, self._wall_ns = participant, wall_ns
         self._topic = participant.advertise(TOPIC, TYPE)
 
     def log(self, name: str, event: DeviceLogged) -> None:
@@ -38,6 +39,6 @@ class Rosout:
     def _publish(self, level: int, name: str, text: str) -> None:
         if self._topic.has_subscribers and self._topic.type is not None:
             line = {"level": 1 << level, "name": name, "msg": text}
-            header = {"stamp": to_time(time.time_ns())}
+            header = {"stamp": to_time(self._wall_ns())}
             with contextlib.suppress(HostlinkError):  # a device that subscribes may not take it
                 self._participant.publish(TOPIC, self._topic.type.encode({"header": header, **line}))

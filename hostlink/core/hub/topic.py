@@ -154,14 +154,21 @@ class Topic:
     """
 
     __slots__ = (
-        "_budget", "_deliveries", "_expected", "_number", "_snapshot", "_subscribers",
+        "_budget", "_deliveries", "_expected", "_number", "_snapshot", "_subscribers", "_wall_ns",
         "devices", "earlier", "is_gated", "latched", "messages", "name", "publishers", "rank", "target", "type",
         "type_name",
     )  # fmt: skip
 
-    def __init__(self, name: str, deliveries: Deliveries | None = None, budget: ByteBudget | None = None) -> None:
-        """`deliveries` and `budget` are those of the graph."""
+    def __init__(
+        self,
+        name: str,
+        deliveries: Deliveries | None = None,
+        budget: ByteBudget | None = None,
+        wall_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """`deliveries`, `budget` and `wall_ns`, the time of day, are those of the graph."""
         self.name = name
+        self._wall_ns = wall_ns
         self.type_name = ""  # until a publisher or subscriber names it
         self.type: MessageType | None = None
         self.rank = PROGRAM_RANK  # of the user that named the type
@@ -288,7 +295,7 @@ class Topic:
             self.type,
             payload,
             source=source,
-            stamp_ns=time.time_ns(),
+            stamp_ns=self._wall_ns(),
             at_s=at_s,
             priority=priority,
             epoch=epoch,
@@ -303,7 +310,7 @@ class Topic:
         """Pass a payload to all subscribers, but to no device."""
         if self._subscribers:
             message = Message(
-                self.name, self.type_name, self.type, payload, source=source, stamp_ns=time.time_ns(), at_s=at_s
+                self.name, self.type_name, self.type, payload, source=source, stamp_ns=self._wall_ns(), at_s=at_s
             )
             self._deliveries.add(self._dispatch, message)
         else:
@@ -369,7 +376,7 @@ class Topic:
                     self.type,
                     payload,
                     source=source,
-                    stamp_ns=time.time_ns(),
+                    stamp_ns=self._wall_ns(),
                     at_s=asyncio.get_running_loop().time(),
                 )
 

@@ -1,7 +1,8 @@
 """TopicGraph: all topics by name. A topic exists as long as it has a publisher or subscriber."""
 
 import asyncio
-from collections.abc import Hashable, Iterable
+import time
+from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.core.hub.byte_budget import ByteBudget
 from hostlink.core.hub.graph_changes import GraphChanges, GraphKind
@@ -20,8 +21,18 @@ def resolve(name: str) -> str:
 class TopicGraph:
     """All topics of devices and participants."""
 
-    def __init__(self, catalog: Catalog, changes: GraphChanges | None = None, budget: ByteBudget | None = None) -> None:
-        """`changes` is notified of every added and removed topic, publisher and subscriber."""
+    def __init__(
+        self,
+        catalog: Catalog,
+        changes: GraphChanges | None = None,
+        budget: ByteBudget | None = None,
+        wall_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """`changes` is notified of every added and removed topic, publisher and subscriber.
+
+        `wall_ns` returns the time of day for the stamps of messages.
+        """
+        self._wall_ns = wall_ns
         self.earlier = EarlierCommands()  # publishers of topics that do not exist, or without `advertise`
         self.deliveries = Deliveries()
         self.budget = ByteBudget() if budget is None else budget
@@ -146,7 +157,7 @@ class TopicGraph:
 
     def _open(self, name: str, type_name: str, rank: int) -> Topic:
         resolved = resolve(name)
-        topic = self._topics.get(resolved) or Topic(resolved, self.deliveries, self.budget)
+        topic = self._topics.get(resolved) or Topic(resolved, self.deliveries, self.budget, self._wall_ns)
         type_ = self._catalog.message(type_name) if type_name else None
         plain_name = type_.name if type_ is not None else type_name
         if plain_name and plain_name != topic.type_name:
