@@ -219,16 +219,18 @@ class World:
             await self._until(self.loop.world_s + 0.5)
             if self._is_whole():
                 return
-        missing = [board.name for board in self.boards if not self._has(board.name)]
+        missing = [board.name for board in self.boards if not self._has(board)]
         self.journal.add(Failed(self.loop.world_s, f"{RECOVERY_S:g} s after the last fault the daemon lacks {missing}"))
 
     def _is_whole(self) -> bool:
-        return self._entrance.accept is not None and all(self._has(board.name) for board in self.boards)
+        return self._entrance.accept is not None and all(map(self._has, self.boards))
 
-    def _has(self, name: str) -> bool:
-        if self.hub is None:
+    def _has(self, board: Board) -> bool:
+        """Whether the daemon has a board's robot on its newest connection."""
+        if self.hub is None or board.connection is None:
             return False
-        return any(robot.name == name and robot.link is not None for robot in self.hub.robots.here())
+        peers = [robot.link.peer for robot in self.hub.robots.here() if robot.name == board.name and robot.link]
+        return peers == [board.connection.host.peer]
 
     async def _ride_once_more(self) -> None:
         """A new program unlocks and drives each robot: refusing everything keeps no promise."""
