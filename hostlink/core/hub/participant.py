@@ -19,7 +19,7 @@ from hostlink.core.hub.subscription import Subscription
 from hostlink.core.hub.topic import Receive, Topic
 from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.messages.message_type import MessageType
-from hostlink.core.robot.admission import Command
+from hostlink.core.robot.admission import Command, Freshness
 from hostlink.core.robot.events import RobotEvent
 from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from hostlink.core.runtime.cancellation import expire, within
@@ -68,6 +68,7 @@ class Participant(Node):
         self._services: set[str] = set()
         self._followed: set[AnyRobot] = set()
         self._calls: set[asyncio.Timeout] = set()
+        self._freshness = Freshness()  # of all its commands that tell when they were sent
 
     # -- topics -------------------------------------------------------------------------------------------------------
 
@@ -342,11 +343,15 @@ class Participant(Node):
             DeviceGone: the daemon of the robot does not answer.
         """
         self.check(Role.DRIVE, "drive")
+        now_s = asyncio.get_running_loop().time()
+        received_s = now_s if received_s is None else received_s
+        if sent_s is not None:  # all robots have the sender's one clock: an old command moves none that is new to it
+            received_s = min(received_s, now_s - self._freshness.late_s(sent_s, now_s))
         command = Command(
             velocity,
             self,
             self.priority if priority is None else priority,
-            asyncio.get_running_loop().time() if received_s is None else received_s,
+            received_s,
             sent_s,
             epoch,
             is_planar=is_planar,
