@@ -18,8 +18,8 @@ async def test_a_daemon_is_a_node_of_ros_2_by_its_settings(tmp_path: Path) -> No
     )
     async with (
         serve("--config", str(settings)) as process,
+        ros2_peer(address) as peer,  # before the device, which says nothing meanwhile: it would be taken for gone
         fake_device(process.tcp, robot_topics()) as device,
-        ros2_peer(address) as peer,
     ):
         await peer.request("echo", "subscribed", topic="/robot_0/odom", type="nav_msgs/msg/Odometry")
         fields = {"linear": {"x": 0.2}}

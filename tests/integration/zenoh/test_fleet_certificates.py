@@ -138,7 +138,7 @@ async def _try_names(
 
 @contextlib.asynccontextmanager
 async def session(config: ZenohSettings) -> AsyncIterator[ZenohSession]:
-    async with opened(config, Isolation()) as made:
+    async with opened(config, Isolation().around) as made:
         yield made
 
 
