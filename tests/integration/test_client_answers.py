@@ -7,15 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hostlink.client import Host, connect
+from hostlink.client import Host, connect, connection
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.errors import HostlinkError
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import hold
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.waiting import TIMEOUT_S
 
 LED = topic(EndpointKind.SUBSCRIBER, 110, "/led", "std_msgs/Bool")
 ARRAY = topic(EndpointKind.SUBSCRIBER, 111, "/array", "std_msgs/Float32MultiArray")
+
+
+@pytest.fixture(autouse=True)
+def _hears_late_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the connection while another process has the processor: client and daemon share the loop of the test."""
+    monkeypatch.setattr(connection, "SILENCE_S", TIMEOUT_S)
 
 
 @contextlib.asynccontextmanager
