@@ -184,3 +184,12 @@ def test_line_with_room_or_of_unknown_rate_has_no_finding(bytes_s: float, baud: 
 
 def test_usb_port_that_is_faster_than_its_baud_rate_has_no_finding() -> None:
     assert with_line(9000.0) == {}
+
+
+def test_command_is_compared_four_times_a_second_and_when_it_changes() -> None:
+    monitor = MotionMonitor()
+    assert monitor.is_due(FORWARD, 0.0)
+    monitor.compare(FORWARD, FORWARD, 0.0)
+    assert not monitor.is_due(FORWARD, 0.1)
+    assert monitor.is_due(Speed(-0.3, 0.0), 0.1)
+    assert monitor.is_due(FORWARD, 0.25)

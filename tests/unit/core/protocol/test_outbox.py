@@ -333,3 +333,13 @@ def test_while_the_robot_moves_a_frame_leaves_only_if_a_stop_behind_it_is_on_the
 ) -> None:
     """The limit is one turn's bytes minus a stop, at most the receive ring and at least one velocity."""
     assert Outbox(CONTROL_FRAMES, uart_bytes_s=uart_bytes_s).prompt_bytes == pytest.approx(longest)
+
+
+def test_outbox_without_a_pace_never_waits_and_a_stop_waits_for_the_line() -> None:
+    outbox = Outbox(CONTROL_FRAMES)
+    outbox.put_command(100, b"command")
+    assert outbox.wait_s(0.0) == 0.0
+    stopping = Outbox(CONTROL_FRAMES, uart_bytes_s=3840)
+    stopping.put_stop()
+    assert stopping.wait_s(0.0) == 0.0
+    assert stopping.pop_frame(now_s=0.0, wall_ns=0) is not None

@@ -246,3 +246,13 @@ def test_a_dimension_that_is_wrong_is_refused(kinematics: str, given: dict[str, 
     with pytest.raises(ConfigError) as refused:
         drive_of(kinematics, given)
     assert refused.value.problem.startswith(problem)
+
+
+def test_drive_of_a_command_without_a_field_cannot_move_that_way() -> None:
+    drive = PlanarDrive().without(["linear.y", "angular.z"])
+    assert drive.why_impossible(PlanarVelocity(x_m_s=0.1)) is None
+    assert (
+        drive.why_impossible(PlanarVelocity(y_m_s=0.1)) == "the robot's command has no field for linear.y: send 0 there"
+    )
+    assert "angular.z" in str(drive.why_impossible(PlanarVelocity(yaw_rad_s=0.1)))
+    assert drive != PlanarDrive()

@@ -18,6 +18,7 @@ from hostlink.core.robot.model import (
     leaf_of,
     matched,
     misfit,
+    motion_of,
     name_of,
     namespace_of,
     roles,
@@ -567,3 +568,18 @@ def test_suggestion_for_what_cannot_be_encoded_lets_a_lock_refuse_it() -> None:
     motors = [f"motor{number}" for number in range(5)]
     assert suggested(*numbers(*motors)) == {"locked_topics": motors}
     assert suggested(to("speed", "custom/Speed"), to("target", TWIST)) == {"command_topic": "target"}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "is_one"),
+    [
+        ("cmd_vel", "cmd_vel_stamped", True),
+        ("/robot/cmd_vel", "robot/drive", True),
+        ("cmd_vel", "arm_vel", False),
+        ("a/cmd_vel", "b/cmd_vel", False),
+    ],
+)
+def test_topics_whose_names_differ_in_words_of_commands_are_one_motion(
+    first: str, second: str, *, is_one: bool
+) -> None:
+    assert (motion_of(first) == motion_of(second)) is is_one

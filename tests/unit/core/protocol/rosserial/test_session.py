@@ -541,3 +541,12 @@ def test_many_short_frames_are_read_in_parts() -> None:
     assert not session.is_crowded(frame * MOST_FRAMES)
     assert session.is_crowded(frame * (MOST_FRAMES + 1))
     assert not session.is_crowded(encode(125, b"\xff" * 4000))
+
+
+def test_second_message_of_a_topic_and_size_has_its_own_payload() -> None:
+    host = Host(ODOMETRY, LED)
+    host.receive(TIME)
+    host.sent()
+    for payload in (b"\x01", b"\x00"):
+        host.session.publish("/led", payload)
+        assert host.sent() == [Frame(100, payload)]
