@@ -4,12 +4,14 @@ import signal
 from pathlib import Path
 
 import aiohttp
+import pytest
 
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.process import free_port, serve
 from tests.support.rmw import TWIST, ros2_peer
 
 
+@pytest.mark.alone
 async def test_a_daemon_is_a_node_of_ros_2_by_its_settings(tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"
     settings = tmp_path / "hostlink.toml"
