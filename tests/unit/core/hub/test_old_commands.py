@@ -35,7 +35,8 @@ def test_clock_of_another_program_says_nothing() -> None:
     async def test(made: MemoryHub) -> None:
         await made.connect(robot_topics("first"), address="10.0.0.1")
         await made.connect(robot_topics("second"), address="10.0.0.2")
-        made.hub.join("one").drive(made.robot("first"), AHEAD, sent_s=made.now_s + 1000.0)
-        made.hub.join("two").drive(made.robot("second"), AHEAD, sent_s=made.now_s - 1000.0)
+        one, two = made.hub.join("one"), made.hub.join("two")
+        assert one.drive(made.robot("first"), AHEAD, sent_s=made.now_s + 1000.0) == AHEAD
+        assert two.drive(made.robot("second"), AHEAD, sent_s=made.now_s - 1000.0) == AHEAD
 
     in_hub(test)
