@@ -76,7 +76,7 @@ def test_every_split_gives_the_same_events(
 
 
 def sends_only_what_fits_the_device(session: Session, info: DeviceEndpoint, now_s: float) -> None:
-    """Publish to a topic. The message goes to the newest endpoint of this name, even before the negotiation is finished."""
+    """Publish to a topic. A message is for the newest endpoint of that name, also during a negotiation."""
     payload = bytes(SIZES.get(info.type, 5))
     taker = None
     with contextlib.suppress(HostlinkError):  # either refused, or sent and within the limits
