@@ -22,7 +22,7 @@ from hostlink.core.components import chosen_components
 from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, is_place
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.parameters import to_parameter
-from hostlink.core.hub.robot import check_command, drive_in, encoders_lack, frames_of, lacking
+from hostlink.core.hub.robot_settings import check_command, drive_in, encoders_lack, frames_of, lacking
 from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor
 from hostlink.core.messages.catalog import Catalog

@@ -15,11 +15,12 @@ from weakref import WeakValueDictionary
 import structlog
 
 from hostlink.core.config import ParameterValue
+from hostlink.core.hub.any_robot import LOCK_REASON, AnyRobot
 from hostlink.core.hub.byte_budget import Share
-from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.devices import Capture, Devices
 from hostlink.core.hub.graph_view import OBSERVERS, Graph, GraphService, GraphTopic, is_imported
-from hostlink.core.hub.hub import DAEMON, Hub, Listening
+from hostlink.core.hub.hub import Hub, Listening
 from hostlink.core.hub.isolation import Spawn
 from hostlink.core.hub.measures import LinkMeasures, Measures, RobotMeasures
 from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
@@ -27,14 +28,15 @@ from hostlink.core.hub.node import Role
 from hostlink.core.hub.node_graph import KnownTopic, NodeGraph, VelocityTopic
 from hostlink.core.hub.parameters import ParameterSource, to_parameter
 from hostlink.core.hub.participant import MAX_ADVERTISED, MAX_CALLS, MAX_SUBSCRIPTIONS, Participant
-from hostlink.core.hub.providers import Provision, RobotProvider
+from hostlink.core.hub.providers import ProvidedRobot, Provision, RobotProvider
 from hostlink.core.hub.queue import Queue
 from hostlink.core.hub.reloader import Prepare, Reloaded
-from hostlink.core.hub.remote_robot import RemoteRobot, RemoteRobots
-from hostlink.core.hub.robot import LOCK_REASON, AnyRobot
+from hostlink.core.hub.remote_robot import RemoteRobot
+from hostlink.core.hub.remote_robots import RemoteRobots
 from hostlink.core.hub.robot_handle import Measured, RecordedMotion, RobotHandle
 from hostlink.core.hub.robot_topic_publisher import own_topics
 from hostlink.core.hub.robots_here import RobotHere, RobotsHere
+from hostlink.core.hub.shared import DAEMON
 from hostlink.core.hub.standstills import MAX_WAIT_S, WAIT_S, own_services
 from hostlink.core.hub.stops import Stops
 from hostlink.core.hub.subscription import Subscription
@@ -77,6 +79,7 @@ __all__ = [
     "NodeGraph",
     "Participant",
     "PlanarVelocity",
+    "ProvidedRobot",
     "Queue",
     "Receive",
     "RecordedMotion",

@@ -9,7 +9,7 @@ import pytest
 
 from hostlink.client import ConnectionChange, Host, Robot, connect
 from hostlink.client.mailbox import Mailbox
-from hostlink.core.hub.robot import AnyRobot
+from hostlink.core.hub.any_robot import AnyRobot
 from hostlink.core.robot.admission import LEASE_S
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import HostlinkError

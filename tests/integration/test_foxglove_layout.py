@@ -7,7 +7,7 @@ from typing import Any
 
 from hostlink.components.gateway.foxglove import FoxgloveDirectory
 from hostlink.core.config import RobotConfig
-from hostlink.core.hub.robot import frames_of
+from hostlink.core.hub.robot_settings import frames_of
 from hostlink.core.messages.message_type import MessageType
 from tests.support.daemon import daemon
 from tests.support.hosts import host_in

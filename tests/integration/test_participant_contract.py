@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from hostlink.cli.demo import DRIVE, DemoDriver
+from hostlink.core.hub.any_robot import AnyRobot
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.node import Role
-from hostlink.core.hub.robot import AnyRobot
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.errors import BadRequest, HostlinkError
 from tests.support.foreign_drivers import FOREIGN

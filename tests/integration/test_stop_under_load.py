@@ -15,11 +15,11 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.core.config import Config, LinkConfig
+from hostlink.core.hub.any_robot import AnyRobot
 from hostlink.core.hub.gates import MAX_STEPS, TICK_S
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.message import PROGRAM_PRIORITY
 from hostlink.core.hub.remote_robot import RemoteRobot
-from hostlink.core.hub.robot import AnyRobot
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL

@@ -89,7 +89,7 @@ class Drivers(RuleBasedStateMachine):
         host_end, device_end = memory_pair()
         session = Session(check=lambda info: check_type(CATALOG, info), uart_bytes_s=self.uart_bytes_s)
         self.link = Link(host_end, session, LinkConfig(), number=self.sessions, on_event=self.react)
-        device = Device(self.link, self.diagnoses.begin(self.link), Presence(), self.hub)
+        device = Device(self.link, self.diagnoses.begin(self.link), Presence(), self.hub, self.robots, lambda _: None)
         self.robots.devices[self.link.number] = device
         loop = asyncio.get_running_loop()
         self.tasks.append(loop.create_task(self.serve(self.link)))

@@ -4,7 +4,7 @@ import asyncio
 import dataclasses
 from collections.abc import Hashable
 
-from hostlink.core.hub.robot import AnyRobot
+from hostlink.core.hub.any_robot import AnyRobot
 from hostlink.core.robot.admission import LEASE_S, Admission, Command
 from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.core.robot.velocity_gate import Limits, V, VelocityGate

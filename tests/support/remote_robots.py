@@ -3,7 +3,7 @@
 from collections.abc import Awaitable, Hashable
 from typing import Any
 
-from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.providers import Provision, RobotProvider
 from hostlink.core.hub.remote_robot import RemoteRobot

@@ -22,9 +22,10 @@ from hostlink.components.recorder.channel import (
     Channel,
     as_text,
 )
-from hostlink.components.recorder.definitions import ros1_type, ros2_name, ros2_type
+from hostlink.components.recorder.definitions import ros2_type
 from hostlink.components.recorder.export import Exported, check_done, chosen_channels, new_output
 from hostlink.components.recorder.reader import RecordingSource
+from hostlink.components.recorder.ros1_definitions import ros1_type, ros2_name
 from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, RecordingFailed
 

@@ -13,7 +13,7 @@ from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
 from hostlink.components.recorder.channel import CDR, ROS1, Channel
-from hostlink.components.recorder.definitions import MAX_REASON, encoding_of, ros1_type, ros2_name
+from hostlink.components.recorder.ros1_definitions import MAX_REASON, encoding_of, ros1_type, ros2_name
 from hostlink.core.messages.catalog import short_name
 from hostlink.errors import BadPayload, UnknownFormat
 

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hostlink.components.recorder.channel import JSON, ROS1, Channel, json_of
-from hostlink.components.recorder.definitions import ros1_type, ros2_type
+from hostlink.components.recorder.definitions import ros2_type
 from hostlink.components.recorder.reader import RecordingSource, StoredMessage, open_source
+from hostlink.components.recorder.ros1_definitions import ros1_type
 from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, UnknownFormat
 

@@ -38,7 +38,7 @@ from hostlink.components.zenoh.fleet_messages import (
 from hostlink.components.zenoh.fleet_orders import ANSWER_TIMEOUT_S, FleetOrders, Order
 from hostlink.components.zenoh.roster import FleetRoster, Neighbour
 from hostlink.components.zenoh.session import ZenohSample
-from hostlink.core.host import CommandEndpoint, Host, Participant, RemoteRobot, RobotHere, RobotProvider
+from hostlink.core.host import CommandEndpoint, Host, Participant, ProvidedRobot, RobotHere, RobotProvider
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.core.runtime.logs import of_peer, printable
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -227,7 +227,7 @@ class _Command:
 
     number: int
     neighbour: Neighbour
-    robot: RemoteRobot
+    robot: ProvidedRobot
     owner: Hashable
     sent_at_s: float
     answer: FleetAnswer | None = None
@@ -264,7 +264,7 @@ class FleetRequests(RobotProvider):
 
     def drive(
         self,
-        robot: RemoteRobot,
+        robot: ProvidedRobot,
         velocity: PlanarVelocity,
         *,
         owner: Hashable,
@@ -305,7 +305,7 @@ class FleetRequests(RobotProvider):
         )
         self._transport.put("drive", request, to=neighbour.sender.zid)
 
-    def answer(self, robot: RemoteRobot, owner: Hashable) -> Awaitable[PlanarVelocity]:
+    def answer(self, robot: ProvidedRobot, owner: Hashable) -> Awaitable[PlanarVelocity]:
         """Return the later answer to the newest command of an owner until now: the velocity after the limits.
 
         Raises (when it is awaited):
@@ -313,7 +313,7 @@ class FleetRequests(RobotProvider):
         """
         return self._answer(robot, owner, self._newest.get((owner, robot.name)))
 
-    async def _answer(self, robot: RemoteRobot, owner: Hashable, command: _Command | None) -> PlanarVelocity:
+    async def _answer(self, robot: ProvidedRobot, owner: Hashable, command: _Command | None) -> PlanarVelocity:
         if command is None:
             raise DeviceGone(robot.name, "the command was withdrawn")
         with contextlib.suppress(TimeoutError):
@@ -348,7 +348,7 @@ class FleetRequests(RobotProvider):
         reason = self._orders.lock_reason(name)
         return None if reason is None else f"{reason} ({self._transport.me.name})"
 
-    def unlock(self, robot: RemoteRobot) -> None:
+    def unlock(self, robot: ProvidedRobot) -> None:
         """Let it be driven again.
 
         Raises:
@@ -444,7 +444,7 @@ class FleetRequests(RobotProvider):
 
     # -- its parts ----------------------------------------------------------------------------------------------------
 
-    def _neighbour(self, robot: RemoteRobot) -> Neighbour:
+    def _neighbour(self, robot: ProvidedRobot) -> Neighbour:
         place = self._roster.place(robot.name)
         if place is None or place.neighbour.sender.zid != robot.place:
             raise DeviceGone(robot.name, f"{robot.host} is gone")

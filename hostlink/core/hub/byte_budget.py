@@ -6,12 +6,9 @@ Counts alone bound no memory: sixty programs with sixteen latched messages of a 
 import contextlib
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Protocol
 
 from hostlink.errors import BadRequest
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.queue import Queue
 
 MIB = 1024 * 1024
 OWN_LATCHED_BYTES = 4 * MIB  # of one participant
@@ -33,6 +30,17 @@ SHARES = {
 }
 
 
+class TelemetryQueue(Protocol):
+    """Queue of telemetry, as its share knows it."""
+
+    @property
+    def telemetry_bytes(self) -> int:
+        """Size of queued telemetry, which may be dropped."""
+
+    def drop_oldest(self) -> None:
+        """Drop and count the oldest item of telemetry."""
+
+
 class Share:
     """Bytes of one kind, with their limit."""
 
@@ -42,7 +50,7 @@ class Share:
         self.max_bytes = max_bytes
         self.held_bytes = 0
         self.refused = 0  # number of times that data found no room
-        self.queues: dict[Queue[Any], None] = {}  # those with telemetry; each adds and removes itself
+        self.queues: dict[TelemetryQueue, None] = {}  # those with telemetry; each adds and removes itself
         self._waiting: deque[Callable[[], None]] = deque()
 
     @property

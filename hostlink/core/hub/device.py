@@ -2,18 +2,21 @@
 
 import dataclasses
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Protocol
 
 import structlog
 
 from hostlink.core.config import RobotConfig
+from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.diagnoses import Diagnosis
 from hostlink.core.hub.gates import Drivable, Echo, LostEndpoint
 from hostlink.core.hub.message import Message
-from hostlink.core.hub.robot import LocalRobot, command_settings, commands_of, limits_of
+from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.hub.robot_settings import commands_of, limits_of
 from hostlink.core.hub.services import DeviceService
+from hostlink.core.hub.shared import Shared
 from hostlink.core.hub.topic import DeviceSubscription, Subscriber, Topic
 from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.link.link import Link
@@ -25,14 +28,13 @@ from hostlink.core.robot.admission import Admission
 from hostlink.core.robot.command_types import FixedZero, TopicType, zero_of
 from hostlink.core.robot.model import (
     NO_SETTINGS,
+    CommandSettings,
     Endpoint,
     RobotTopicNames,
     Suggestion,
     announced,
     is_velocity,
     motion_of,
-    name_of,
-    suggest,
     suggestion,
     unguarded,
 )
@@ -46,9 +48,6 @@ from hostlink.core.runtime.logs import printable
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, WrongType
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.hub import Hub
 
 log = structlog.get_logger()
 
@@ -109,21 +108,22 @@ def endpoints_of(infos: Iterable[DeviceEndpoint]) -> list[Endpoint]:
     return [Endpoint(info.name, info.type, info.is_to_device) for info in infos if info.kind in kinds]
 
 
-class CommandEndpoint(NamedTuple):
-    """Endpoint that commands a motion and is not a robot's, after a stop or a lock. `topic` is its name in the graph.
+class Registry(Protocol):
+    """Registry of devices and robots, as a device knows it."""
 
-    `is_guarded`: it has a gate. `reason`: why it was not sent a zero; empty if it was.
-    """
+    @property
+    def boards(self) -> Admission:
+        """Admission whose lock holds for every board that is not a robot."""
 
-    link: int
-    peer: str
-    robot: str | None  # of its board
-    topic: str
-    type_name: str
-    is_guarded: bool
-    is_locked: bool
-    reason: str = ""
-    host: str | None = None  # name of its daemon; None for this one
+    @property
+    def devices(self) -> Mapping[int, "Device"]:
+        """Devices of all live links, by the number of the link."""
+
+    def get_here(self, name: str) -> LocalRobot | None:
+        """Return the robot of this daemon with this name; None if it does not exist."""
+
+    def config_of(self, name: str) -> RobotConfig:
+        """Return the settings of a configured robot, connected or not."""
 
 
 class Device:
@@ -133,13 +133,22 @@ class Device:
     """
 
     __slots__ = (
-        "_awaited", "_hub", "_lockable", "_observers", "_odometry", "_reader", "_zeros", "diagnosis", "drivables",
-        "early", "infos", "is_undecided", "link", "lost", "member", "missing", "names", "parameters", "presence",
-        "refused_settings", "robot", "routes", "services", "settings", "shown", "stop_frames", "suggested", "unfit",
-        "unguarded",
+        "_awaited", "_lockable", "_observers", "_odometry", "_reader", "_registry", "_shared", "_suggest", "_zeros",
+        "diagnosis", "drivables", "early", "infos", "is_undecided", "link", "lost", "member", "missing", "names",
+        "parameters", "presence", "refused_settings", "robot", "routes", "services", "settings", "shown", "stop_frames",
+        "suggested", "unfit", "unguarded",
     )  # fmt: skip
 
-    def __init__(self, link: Link, diagnosis: Diagnosis, presence: Presence, hub: "Hub") -> None:
+    def __init__(
+        self,
+        link: Link,
+        diagnosis: Diagnosis,
+        presence: Presence,
+        shared: Shared,
+        registry: Registry,
+        suggest: Callable[["Device"], Suggestion | None],
+    ) -> None:
+        """`suggest` returns the settings that make a device a robot; None if it is one, or no settings do."""
         self.link = link
         self.presence = presence
         self.diagnosis = diagnosis
@@ -147,7 +156,7 @@ class Device:
         self.drivables: list[Drivable] = []  # set by Gates
         self.stop_frames: list[bytes] = []  # frames that the guardian sends to stop it; set by Gates
         self.lost: dict[str, LostEndpoint] = {}  # velocity endpoints that an announcement gave up; set by Gates
-        self.settings = NO_SETTINGS  # of its robot's command
+        self.settings: CommandSettings = NO_SETTINGS  # of its robot's command
         self.member: Membership | None = None  # of a robot of several devices
         self.missing = ""  # why the robot of several devices of which it is one cannot be driven; empty: it can be
         self.refused_settings = ""  # why they do not fit the device
@@ -168,7 +177,7 @@ class Device:
         self._awaited: dict[str, None] = {}  # services that may still answer a call from before the last `leave`
         self._odometry: list[tuple[Topic, int]] = []  # where the robot reads its pose, and as which subscriber
         self._reader: LocalRobot | None = None  # robot of several devices that reads this one
-        self._hub = hub
+        self._shared, self._registry, self._suggest = shared, registry, suggest
 
     def announce(self, infos: tuple[DeviceEndpoint, ...], shown: ShownNames, robot: LocalRobot | None = None) -> None:
         """Replace the device's endpoints in the graph."""
@@ -197,13 +206,13 @@ class Device:
 
     def displace(self, name: str, type_name: str, robot: LocalRobot | None) -> None:
         """Remove the device from a topic, because the topic is another robot's own, with this type."""
-        topic = self._hub.topics.find(name)
+        topic = self._shared.topics.find(name)
         log.warning("topic.refused", topic=printable(name), reason=str(WrongType(name, type_name, topic.type_name)))
         self.routes = {topic_id: each for topic_id, each in self.routes.items() if each is not topic}
         for drivable in self.drivables:
             drivable.echoes.pop(name, None)
-        self._hub.topics.unadvertise(name, self.link)
-        self._hub.topics.unsubscribe_device(name, self.link)
+        self._shared.topics.unadvertise(name, self.link)
+        self._shared.topics.unsubscribe_device(name, self.link)
         reader = robot or self._reader
         if reader is not None and name in {self.shown.of(own) for own, _ in reader.feedback.topics}:
             self._end_odometry()
@@ -260,13 +269,13 @@ class Device:
 
     def announced_again(self) -> None:
         """Send latched messages again: a board that announces the same topics may have restarted."""
-        self._hub.gates.give_up_lost(self)
-        self._hub.topics.send_latched(self.link)
+        self._shared.gates.give_up_lost(self)
+        self._shared.topics.send_latched(self.link)
 
     def stand(self) -> None:
         """Send zero to every velocity topic: a reconnected robot may still obey an old command."""
         for info in filter(self._is_velocity, self.infos):
-            self._hub.gates.attach(self._drivable(info, None), self)
+            self._shared.gates.attach(self._drivable(info, None), self)
         self._stand_lost()
         self._note_unguarded()
 
@@ -281,7 +290,7 @@ class Device:
             if info.id not in known and self.link.session.may_have(info):
                 drivable = self._drivable(info, None)
                 drivable.commands = FixedZero(TopicType(info.name, info.type), zero)
-                self._hub.gates.attach(drivable, self, lost=info)
+                self._shared.gates.attach(drivable, self, lost=info)
 
     # -- endpoints without a gate -------------------------------------------------------------------------------------
 
@@ -312,14 +321,14 @@ class Device:
     def lock(self) -> Admission:
         """Admission whose lock holds for its topics without a gate: the robot's, or that of all boards without one."""
         robot = self._robot
-        return self._hub.robots.boards if robot is None else robot.admission
+        return self._registry.boards if robot is None else robot.admission
 
     @property
     def _robot(self) -> LocalRobot | None:
         """The robot that it is, or of which it is a part."""
         if self.robot is not None or self.member is None:
             return self.robot
-        return self._hub.robots.get_here(self.member.robot)
+        return self._registry.get_here(self.member.robot)
 
     @property
     def suggestion(self) -> str:
@@ -332,7 +341,7 @@ class Device:
         known = self.robot_name
         if known is None or not self.unguarded:
             return ""
-        boards = (each for each in self._hub.robots.devices.values() if each is self or each.robot_name == known)
+        boards = (each for each in self._registry.devices.values() if each is self or each.robot_name == known)
         names = dict.fromkeys(each for board in boards for each in board.unguarded_topics)
         return suggestion(list(names), known, self.link.address, is_robot=True)
 
@@ -348,25 +357,6 @@ class Device:
             return self.robot.name
         return None if self.member is None else self.member.robot
 
-    def _suggest(self) -> Suggestion | None:
-        """Return the settings that make the device a robot; None if it is one, or nothing looks like a command."""
-        suspects, robots = self.unguarded_topics, self._hub.robots
-        if not suspects or self.robot_name is not None:
-            return None
-        others: dict[str, Suggestion | None] = {
-            each.suggested.name: each.suggested
-            for each in robots.devices.values()
-            if each is not self and each.suggested is not None
-        }
-        name = self._hub.links.origin_of(self)[1]
-        if name is not None and robots.is_free(name) and name not in others:  # its table gets the lines
-            if command_settings(robots.config_of(name)).topics:
-                return None  # it has a command: what does not fit in it is a finding
-            return Suggestion(name, self.link.address, suggestion(suspects, name, "", is_configured=True))
-        others |= dict.fromkeys(robots.taken_names())
-        name = name_of(suspects[0].name) or "my_robot"
-        return suggest(suspects, name, self.link.address, self.link.peer, others)
-
     def _note_unguarded(self) -> None:
         """Find the endpoints that look like commands and have no gate. Under a lock they are sent their zeros."""
         found = unguarded(self.endpoints, self.settings, self.guarded)
@@ -376,7 +366,7 @@ class Device:
         )
         zeros = ((info, self._zero_of(info)) for info in self.unguarded)
         self._zeros = {info.name: zero for info, zero in zeros if zero is not None and not self._why_no_zero(info)}
-        self.suggested = self._suggest()
+        self.suggested = self._suggest(self)
         self._lockable = self.settings.locked | names
         if self.lock.lock_reason is not None:
             self.stop_unguarded()
@@ -455,23 +445,23 @@ class Device:
         self.routes.clear()
         self._observers.clear()
         self.names = frozenset()
-        self._hub.topics.leave(self.link)
+        self._shared.topics.leave(self.link)
         self._awaited |= {name: None for name, service in self.services.items() if service.is_awaited}
-        self._hub.services.leave(self.link)
+        self._shared.services.leave(self.link)
         self.services.clear()
 
     def _add(self, info: DeviceEndpoint, robot: LocalRobot | None) -> None:
         name = self.shown.of(info.name)
         if info.kind is EndpointKind.PUBLISHER:
-            topic = self._hub.topics.advertise(name, self.link, type_name=info.type)
+            topic = self._shared.topics.advertise(name, self.link, type_name=info.type)
             self._route(info, topic, robot)
         elif info.kind is EndpointKind.SUBSCRIBER:
             self._subscribe(info, name, robot)
         elif info.kind is EndpointKind.SERVICE_SERVER_SUBSCRIBER:
-            type_ = self._hub.catalog.service(info.type)
+            type_ = self._shared.catalog.service(info.type)
             service = DeviceService(name, info.type, type_, self.link, lambda payload: self._call(info.name, payload))
             service.md5_sums = self._md5_sums(info.name)
-            self._hub.services.add_device_service(service)
+            self._shared.services.add_device_service(service)
             self.services[info.name] = service
 
     # -- from the device ----------------------------------------------------------------------------------------------
@@ -489,8 +479,8 @@ class Device:
     def _route_refused(self, info: DeviceEndpoint, robot: LocalRobot | None) -> None:
         """Route a robot's odometry even if the graph has another type by this name."""
         if robot is not None and info.kind is EndpointKind.PUBLISHER and self._reads(info, robot):
-            topic = Topic(self.shown.of(info.name), wall_ns=self._hub.wall_ns)
-            topic.type, topic.type_name = self._hub.catalog.message(info.type), info.type
+            topic = Topic(self.shown.of(info.name), wall_ns=self._shared.wall_ns)
+            topic.type, topic.type_name = self._shared.catalog.message(info.type), info.type
             self._route(info, topic, robot)
 
     def _reads(self, info: DeviceEndpoint, robot: LocalRobot) -> bool:
@@ -501,13 +491,13 @@ class Device:
 
     def _subscribe_robot(self, own_name: str, topic: Topic, robot: LocalRobot) -> None:
         receive, fail = partial(robot.receive_feedback, own_name), partial(self._crash, robot)
-        number = topic.add_subscriber(Subscriber(receive, self._hub.node, "", fail))
+        number = topic.add_subscriber(Subscriber(receive, self._shared.node, "", fail))
         self._odometry.append((topic, number))
 
     def _crash(self, robot: LocalRobot, error: Exception) -> None:
         """End the link after a crash of odometry. The robot then reconnects, at rest."""
         self.link.end(LinkEnd.CRASHED)
-        self._hub.isolation.crashed("robot", error, robot=robot.name)
+        self._shared.isolation.crashed("robot", error, robot=robot.name)
 
     def _battery_info(self) -> DeviceEndpoint | None:
         """Return the first topic of the battery's type; None if there is none."""
@@ -523,7 +513,7 @@ class Device:
         if len(payload) >= _STAMP.size:
             secs, nsecs = _STAMP.unpack_from(payload)
             stamp_ns, now_s = secs * NS_PER_S + nsecs, self.link.received_at_s
-            self.link.session.device_clock.update(stamp_ns, at_ns=self._hub.wall_ns(), now_s=now_s)
+            self.link.session.device_clock.update(stamp_ns, at_ns=self._shared.wall_ns(), now_s=now_s)
 
     def _end_odometry(self) -> None:
         for topic, number in self._odometry:
@@ -539,7 +529,7 @@ class Device:
             drivable, output = robot, robot.topics.commands.index((info.name, info.type))
         elif self._is_velocity(info):
             drivable = self._drivable(info, robot)
-            self._hub.gates.attach(drivable, self)
+            self._shared.gates.attach(drivable, self)
         if drivable is None:
             is_reset = robot is not None and info.name == robot.topics.reset
             send = partial(self._send, info.name, robot if is_reset else None)
@@ -548,7 +538,7 @@ class Device:
             subscription = DeviceSubscription(send, is_gate=False, is_command=is_reset)
         else:
             subscription = DeviceSubscription(drivable.receive, is_gate=True, target=drivable)
-        topic = self._hub.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
+        topic = self._shared.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
         if drivable is not None:
             drivable.echoes[topic.name] = Echo(topic, output)
             if robot is None:  # a robot's gate has joined before
@@ -568,26 +558,26 @@ class Device:
         """
         topic = TopicType(info.name, info.type)
         if robot is None and self.member is not None:
-            config = self._hub.robots.config_of(self.member.robot)
+            config = self._registry.config_of(self.member.robot)
             limits = limits_of(config, (topic,))
             shown = self.shown.of(info.name)
             admission = Admission(shown, drive=limits.drive, unlocked_by=self.member.robot)
             if self.lock.lock_reason is not None:
                 admission.lock(self.lock.lock_reason, loop_time_s(), by=self.lock.locked_by)
             gate = VelocityGate(admission, limits, ZERO)
-            return Drivable(name=shown, commands=commands_of((topic,), config), gate=gate, gates=self._hub.gates)
+            return Drivable(name=shown, commands=commands_of((topic,), config), gate=gate, gates=self._shared.gates)
         if robot is None:
             shown = self.shown.of(info.name)
-            admission, boards = Admission(shown, drive=None), self._hub.robots.boards
+            admission, boards = Admission(shown, drive=None), self._registry.boards
             if boards.lock_reason is not None:
                 admission.lock(boards.lock_reason, loop_time_s(), by=boards.locked_by)
             spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
             commands = commands_of((topic,), RobotConfig())
-            return Drivable(name=shown, commands=commands, gate=spatial, gates=self._hub.gates)
+            return Drivable(name=shown, commands=commands, gate=spatial, gates=self._shared.gates)
         limits = limits_of(robot.config, robot.topics.commands)
         gate = VelocityGate(robot.gate.admission, limits, ZERO, motion_of(info.name))
         commands = commands_of((topic,), robot.config, frame_id=robot.frames.base)
-        return Drivable(name=robot.name, commands=commands, gate=gate, gates=self._hub.gates)
+        return Drivable(name=robot.name, commands=commands, gate=gate, gates=self._shared.gates)
 
     def _send(self, name: str, reset: LocalRobot | None, message: Message) -> None:
         """Send a message to the device. `reset` is the robot whose odometry it resets.

@@ -9,11 +9,12 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import Callable, Coroutine, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import structlog
 
 from hostlink.core.hub.services import DEVICE_TIMEOUT_S
+from hostlink.core.hub.shared import Shared
 from hostlink.core.link.link import Link
 from hostlink.core.messages.fitting import encode_within
 from hostlink.core.messages.message_type import MessageType
@@ -33,9 +34,6 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.hub import Hub
 
 log = structlog.get_logger()
 
@@ -71,15 +69,15 @@ class DeviceCalls:
 
     def __init__(
         self,
-        hub: "Hub",
+        shared: Shared,
         *,
         give_up: Callable[[Link], Coroutine[Any, Any, None]],
         name_of: Callable[[Link, str], str],
     ) -> None:
         """`give_up` ends the link of a device that cannot be answered; `name_of`: the service that a device means."""
         self.refused = 0  # calls over a bound
-        self._services, self._catalog, self._spawn = hub.services, hub.catalog, hub.spawn
-        self._give_up, self._name_of, self._turns = give_up, name_of, hub.turns()
+        self._services, self._catalog, self._spawn = shared.services, shared.catalog, shared.spawn
+        self._give_up, self._name_of, self._turns = give_up, name_of, shared.turns()
         self._calls: dict[int, dict[int, deque[_DeviceCall]]] = {}  # by link, by endpoint
 
     def accept(self, link: Link, event: ServiceRequested) -> None:

@@ -5,7 +5,8 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from hostlink.core.diagnosis.finding import Finding
-from hostlink.core.hub.device import CommandEndpoint, Device
+from hostlink.core.hub.command_endpoint import command_endpoint_view
+from hostlink.core.hub.device import Device
 from hostlink.core.link.capture_buffer import CapturedPiece
 from hostlink.core.robot.device_views import (
     ArrivalView,
@@ -18,7 +19,6 @@ from hostlink.core.robot.device_views import (
 )
 from hostlink.core.robot.model import Role, roles
 from hostlink.core.robot.state_views import rounded
-from hostlink.core.robot.views import CommandEndpointView
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import UnknownTopic
 
@@ -209,19 +209,3 @@ def finding_views(findings: Iterable[Finding]) -> list[FindingView]:
         {"code": each.code, "cause": each.cause, "next_step": each.next_step, "detail": each.detail}
         for each in findings
     ]
-
-
-def command_endpoint_view(endpoint: CommandEndpoint) -> CommandEndpointView:
-    """Return what became of a topic that is not a robot's after a stop or a lock."""
-    return {
-        "link": endpoint.link,
-        "peer": endpoint.peer,
-        "robot": endpoint.robot,
-        "topic": endpoint.topic,
-        "type": endpoint.type_name,
-        "is_guarded": endpoint.is_guarded,
-        "is_locked": endpoint.is_locked,
-        "is_zero_sent": not endpoint.reason,
-        "reason": endpoint.reason,
-        "host": endpoint.host,
-    }

@@ -10,17 +10,17 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import IntEnum
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hostlink.core.diagnosis.finding import Finding
 from hostlink.core.hub.diagnoses import Diagnosis
+from hostlink.core.hub.participant import Participant
 from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.hub.robots import Robots
+from hostlink.core.hub.shared import Shared
 from hostlink.core.messages.catalog import to_time
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import HostlinkError
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.hub import Hub
 
 STALE_AFTER_S = 10.0  # a robot that reconnects sooner has only rebooted, or its network had a gap
 
@@ -133,17 +133,17 @@ ARRAY_STATUSES = 8  # of one array: a status takes about a tenth of a millisecon
 class DiagnosticsTopic:
     """Publisher of the daemon's diagnostics."""
 
-    def __init__(self, hub: "Hub") -> None:
-        self._hub, self._participant = hub, hub.join_daemon()
+    def __init__(self, shared: Shared, robots: Robots, participant: Participant) -> None:
+        self._shared, self._robots, self._participant = shared, robots, participant
         # The namespace distinguishes daemons that share the topic; a single daemon has "/".
-        self._node = "/".join([NODE, *filter(None, hub.config.ros1.namespace.split("/"))])
+        self._node = "/".join([NODE, *filter(None, shared.config.ros1.namespace.split("/"))])
         self._topic = self._participant.advertise(TOPIC, TYPE)
 
     async def run(self) -> None:
         """Publish until cancelled."""
         while True:
             if self._topic.has_subscribers:
-                with self._hub.isolation.around("task", task="diagnostics"):
+                with self._shared.isolation.around("task", task="diagnostics"):
                     await self._publish()
             await asyncio.sleep(INTERVAL_S)
 
@@ -152,7 +152,7 @@ class DiagnosticsTopic:
         while statuses := [self._named(make()) for make in itertools.islice(makers, ARRAY_STATUSES)]:
             if self._topic.type is None:
                 return
-            header = {"stamp": to_time(self._hub.wall_ns())}
+            header = {"stamp": to_time(self._shared.wall_ns())}
             with contextlib.suppress(HostlinkError):  # a device that subscribes may not take it
                 payload = self._topic.type.encode({"header": header, "status": statuses})
                 self._participant.publish(TOPIC, payload)
@@ -165,7 +165,7 @@ class DiagnosticsTopic:
     def _makers(self) -> Iterator[Callable[[], Status]]:
         """Yield a function for each status: the daemon, robots by name, other devices, ports, parts of the daemon."""
         yield self._daemon
-        diagnoses, robots, now_s = self._hub.diagnoses, self._hub.robots, loop_time_s()
+        diagnoses, robots, now_s = self._shared.diagnoses, self._robots, loop_time_s()
         absent: dict[str, Diagnosis] = {each.robot: each for each in diagnoses.ended if each.robot}
         for robot in robots.here():
             diagnosis = None if robot.link is None else diagnoses.find(robot.link.number)
@@ -186,13 +186,13 @@ class DiagnosticsTopic:
             yield partial(finding_status, part, "", found)
 
     def _daemon(self) -> Status:
-        hub = self._hub
-        robots, crashes = hub.robots.here(), hub.isolation.crashes.total()
+        shared = self._shared
+        robots, crashes = self._robots.here(), shared.isolation.crashes.total()
         counts = {
-            "links": len(hub.diagnoses.live()),
+            "links": len(shared.diagnoses.live()),
             "robots": len(robots),
             "robots connected": sum(robot.link is not None for robot in robots),
-            **{f"refused: {cause}": count for cause, count in hub.counts.refused.items()},
+            **{f"refused: {cause}": count for cause, count in shared.counts.refused.items()},
         }
         level = Level.ERROR if crashes else Level.OK
         message = f"{crashes} faults of hostlink itself: see its log" if crashes else "running"

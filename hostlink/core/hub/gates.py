@@ -10,10 +10,12 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import structlog
 
+from hostlink.core.hub.command_endpoint import CommandEndpoint
+from hostlink.core.hub.diagnoses import Diagnosis
 from hostlink.core.hub.isolation import Isolation
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.providers import Providers
@@ -35,7 +37,7 @@ from hostlink.core.robot.events import (
     WAS_STOPPED,
     EventKind,
 )
-from hostlink.core.robot.model import STOP_SERVICE_TYPES
+from hostlink.core.robot.model import STOP_SERVICE_TYPES, CommandSettings
 from hostlink.core.robot.velocity import ZERO, AnyVelocity, PlanarVelocity, Twist
 from hostlink.core.robot.velocity_gate import EndedLease, V, VelocityGate
 from hostlink.core.runtime.arrival import SETTLE_S
@@ -44,9 +46,6 @@ from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.device import CommandEndpoint, Device
 
 log = structlog.get_logger()
 
@@ -197,6 +196,27 @@ class Echo(NamedTuple):
     output: int | None = None  # None: as a Twist
 
 
+class Connection(Protocol):
+    """Device of one link, as its gates and its robot know it."""
+
+    link: Link
+    diagnosis: Diagnosis
+    settings: CommandSettings  # of its robot's command
+    drivables: "list[Drivable]"  # with their gates; set by Gates
+    stop_frames: list[bytes]  # frames that the guardian sends to stop it; set by Gates
+    lost: "dict[str, LostEndpoint]"  # velocity endpoints that an announcement gave up; set by Gates
+
+    @property
+    def stop_service(self) -> str | None:
+        """Service that stops it by the settings, as it announces it; None: they name none."""
+
+    def stop_unguarded(self) -> None:
+        """Send zero to each endpoint that looks like a command and has no gate. Older messages to it are dropped."""
+
+    def unguarded_endpoints(self) -> list[CommandEndpoint]:
+        """Return its endpoints that look like commands and have no gate, after `stop_unguarded`."""
+
+
 @dataclass(eq=False, kw_only=True)
 class Drivable(VelocityTarget):
     """Command topics of a device, with their gate, which is their only subscriber in the graph.
@@ -208,7 +228,7 @@ class Drivable(VelocityTarget):
     commands: CommandType  # its topics by the names that the device uses, and how they are encoded
     gate: VelocityGate[Any]  # of a PlanarVelocity for a robot, else of a Twist
     gates: "Gates"
-    connection: "Device | None" = None  # in the registry of links (`Robots.devices`)
+    connection: Connection | None = None  # in the registry of links (`Robots.devices`)
     echoes: dict[str, Echo] = field(default_factory=dict)  # by the topic's name
     # For each command topic: takes its zeros, even if a damaged announcement gave it up; None: none fits.
     endpoints: tuple[DeviceEndpoint | None, ...] = ()
@@ -265,7 +285,7 @@ class LostEndpoint(NamedTuple):
     zero: bytes
 
 
-def _stop_call_of(connection: "Device") -> DeviceEndpoint | None:
+def _stop_call_of(connection: Connection) -> DeviceEndpoint | None:
     """Return the endpoint of the service that stops a device, by its robot's settings; None if it has none."""
     service = connection.stop_service
     if service is None:
@@ -308,7 +328,7 @@ class Gates:
 
     # -- which there are ----------------------------------------------------------------------------------------------
 
-    def attach(self, drivable: Drivable, connection: "Device", *, lost: DeviceEndpoint | None = None) -> None:
+    def attach(self, drivable: Drivable, connection: Connection, *, lost: DeviceEndpoint | None = None) -> None:
         """Attach a velocity topic to its device. Earlier commands are void: the first velocity is zero.
 
         `lost` is its endpoint if the device's announcement lacks it.
@@ -326,7 +346,7 @@ class Gates:
         self._guard(drivable, connection)
         self._activate(drivable)
 
-    def detach(self, connection: "Device") -> None:
+    def detach(self, connection: Connection) -> None:
         """Detach all velocity topics from a link, after a last zero to those that may move."""
         drivables, connection.drivables = connection.drivables, []
         for drivable in drivables:
@@ -342,14 +362,14 @@ class Gates:
         if stops and self._guardian is not None:
             self._guardian.release(connection.link.number)
 
-    def give_up_lost(self, connection: "Device") -> None:
+    def give_up_lost(self, connection: Connection) -> None:
         """Detach lost velocity topics when their zeros were sent: the device has announced the same topics again."""
         for drivable in connection.drivables:
             if drivable.is_lost:
                 drivable.is_given_up = True
                 self._activate(drivable)
 
-    def _detach_lost(self, drivable: Drivable, connection: "Device") -> None:
+    def _detach_lost(self, drivable: Drivable, connection: Connection) -> None:
         connection.drivables.remove(drivable)
         drivable.connection = None
         self.unregister(drivable.admission)
@@ -515,7 +535,7 @@ class Gates:
                 drivable.gate.stop(now_s=now_s)
                 self._step(drivable, now_s, is_news=True)
 
-    async def settled(self) -> "list[CommandEndpoint]":
+    async def settled(self) -> list[CommandEndpoint]:
         """Wait until the providers of remote robots have answered the stops, locks and unlocks so far.
 
         Return their endpoints that command a motion and are not a robot's.
@@ -713,7 +733,7 @@ class Gates:
         if refusal is not None:
             raise refusal
 
-    def _send_last_zero(self, drivable: Drivable, connection: "Device") -> None:
+    def _send_last_zero(self, drivable: Drivable, connection: Connection) -> None:
         """Send the last zero. The device may have announced other topics, may have another link, or may be gone."""
         link = connection.link
         if drivable.gate.may_move:
@@ -730,7 +750,7 @@ class Gates:
         if self._guardian is not None:
             self._guardian.beat(driven)
 
-    def _endpoints_of(self, drivable: Drivable, connection: "Device") -> tuple[DeviceEndpoint | None, ...]:
+    def _endpoints_of(self, drivable: Drivable, connection: Connection) -> tuple[DeviceEndpoint | None, ...]:
         """Return the endpoints that take zeros: each the announced one, or the earlier one if a zero does not fit."""
         session, found = connection.link.session, list[DeviceEndpoint | None]()
         for topic, zero in zip(drivable.commands.topics, drivable.zeros, strict=True):
@@ -741,7 +761,7 @@ class Gates:
                 found.append(lost.info if lost is not None and session.may_have(lost.info) else None)
         return tuple(found)
 
-    def _guard(self, drivable: Drivable, connection: "Device") -> None:
+    def _guard(self, drivable: Drivable, connection: Connection) -> None:
         """Give link and guardian the frames that stop the device when this process cannot."""
         link, stops = connection.link, connection.stop_frames
         # Without a stamp: that of now would be old by then.

@@ -2,53 +2,31 @@
 
 import asyncio
 import contextlib
-import secrets
-import time
-from collections import Counter
-from collections.abc import Callable, Coroutine, Mapping
-from dataclasses import dataclass, field
-from typing import Any
-from weakref import WeakValueDictionary
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import structlog
 
 from hostlink.core.config import Config
-from hostlink.core.hub.byte_budget import ByteBudget
-from hostlink.core.hub.diagnoses import Diagnoses
 from hostlink.core.hub.diagnostics_topic import DiagnosticsTopic
-from hostlink.core.hub.gates import Gates, Guard
-from hostlink.core.hub.graph_changes import GraphChanges, GraphKind
-from hostlink.core.hub.graph_view import GraphView
-from hostlink.core.hub.isolation import Isolation
+from hostlink.core.hub.gates import Guard
+from hostlink.core.hub.graph_changes import GraphKind
 from hostlink.core.hub.links import Links, commands_by_name
 from hostlink.core.hub.message import PROGRAM_PRIORITY
-from hostlink.core.hub.node import Node, Role
+from hostlink.core.hub.node import Role
 from hostlink.core.hub.participant import Participant
 from hostlink.core.hub.reloader import Read, Reloader
-from hostlink.core.hub.robot_events import RobotEvents
 from hostlink.core.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.core.hub.robots import Robots
 from hostlink.core.hub.rosout import Rosout
-from hostlink.core.hub.services import Services
+from hostlink.core.hub.shared import DAEMON, Shared, draw_epoch
 from hostlink.core.hub.standstills import LockServices, Standstills
-from hostlink.core.hub.topic_graph import TopicGraph
-from hostlink.core.link.fair_share import FairShare, Turns
 from hostlink.core.messages.catalog import Catalog
-from hostlink.core.robot.admission import EPOCH_BITS
 from hostlink.core.robot.names import Places
 from hostlink.core.runtime.logs import log_what_is_missing
 from hostlink.core.runtime.loop_time import loop_time_s
 
 log = structlog.get_logger()
-
-
-@dataclass(frozen=True, slots=True)
-class Counts:
-    """Counters of listeners and components, which write into it."""
-
-    refused: Counter[str] = field(default_factory=Counter)  # refused and evicted connections, by cause
-    datagrams_dropped: Counter[str] = field(default_factory=Counter)  # UDP datagrams in both directions, by cause
-    components: dict[str, Callable[[], Mapping[str, int]]] = field(default_factory=dict)  # counters of each component
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,22 +37,14 @@ class Listening:
     udp: tuple[str, int] | None = None
 
 
-DAEMON = "hostlink"  # name of the daemon's own participants in the graph
 STOP_REPEATS = 3  # a single stop can be lost on a radio
 STOP_INTERVAL_S = 0.05
 SHUTDOWN_TIMEOUT_S = 0.5
 LOG_INTERVAL_S = 10.0  # between two lines about dropped log lines
 
 
-def _draw_epoch() -> int:
-    return secrets.randbits(EPOCH_BITS)
-
-
-class Hub:
-    """Everything that is connected. Methods are synchronous, so each is atomic; only services wait.
-
-    `reraises` is for tests: a crash of one link ends the hub. Otherwise it is logged and counted.
-    """
+class Hub(Shared):
+    """Everything that is connected. Methods are synchronous, so each is atomic; only services wait."""
 
     def __init__(
         self,
@@ -87,83 +57,45 @@ class Hub:
         slept_s: Callable[[], float] = lambda: 0.0,
         computed_s: Callable[[], float] = loop_time_s,
         wall_ns: Callable[[], int] | None = None,
-        first_epoch: Callable[[], int] = _draw_epoch,
+        first_epoch: Callable[[], int] = draw_epoch,
     ) -> None:
         """Connect nothing yet.
 
+        `reraises` is for tests: a crash of one link ends the hub. Otherwise it is logged and counted.
         `read` reads the settings again, as a new start would; None if the daemon has no file.
         `slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out.
         `computed_s` returns the CPU time of the event loop's thread, without the time for which it waited for a core.
         `wall_ns` returns the time of day; None: that of the computer. `first_epoch` draws that of a robot.
         """
-        self.config, self.catalog, self.first_epoch = config, catalog, first_epoch
-        self.wall_ns = time.time_ns if wall_ns is None else wall_ns
-        self.is_running = asyncio.Event()  # `spawn` works when it is set
-        self.counts = Counts()
-        self.listening = Listening()  # set by the listeners
-        self.parameters = dict(config.parameters)  # parameters for devices; clients may change them
-        self.isolation = Isolation(reraises=reraises)
-        self.changes = GraphChanges(computed_s)
-        self.budget = ByteBudget()
-        self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes the topics of robots that have names of ROS
-        self.topics = TopicGraph(catalog, self.changes, self.budget, self.wall_ns)
-        self.services = Services(catalog, self.changes)
-        self._views: WeakValueDictionary[str, GraphView] = (
-            WeakValueDictionary()
-        )  # by group, while participants use them
-        self.events = RobotEvents(self.wall_ns)
-        self.slept_s = slept_s
-        self.gates = Gates(self.isolation, guard, self.events, slept_s=slept_s, wall_ns=self.wall_ns)
-        self.share = FairShare(self.gates.came_s)  # of the event loop, for links and participants
-        self.diagnoses = Diagnoses(
-            self.isolation, self.events, self.gates.pauses, catalog.least_bytes, slept_s, self.wall_ns
+        super().__init__(
+            config,
+            catalog,
+            reraises=reraises,
+            guard=guard,
+            slept_s=slept_s,
+            computed_s=computed_s,
+            wall_ns=wall_ns,
         )
-        self.robots = Robots(self)
+        self.is_running = asyncio.Event()  # `spawn` works when it is set
+        self.listening = Listening()  # set by the listeners
+        self.robots = Robots(self.gates, config, first_epoch)
         self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()
         self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
         self.rosout = Rosout(self.join_daemon(), self.wall_ns)
-        self.links = Links(self)
+        self.links = Links(self, self.robots, self.robot_topics, self.rosout.log)
+        self.robots.on_change, self.robots.on_forgotten = self._note_robot, self.links.forget_robot
         self.reloader = Reloader(self, read)
-        self._tasks: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:
         """Serve until cancelled. This task is the parent of every spawned one."""
-        async with asyncio.TaskGroup() as self._tasks:
+        async with asyncio.TaskGroup() as self.tasks:
             self.spawn(self.diagnoses.run(), name="diagnoses")
             self.spawn(self.robots.run(), name="known robots")
-            self.spawn(DiagnosticsTopic(self).run(), name="diagnostics")
+            self.spawn(DiagnosticsTopic(self, self.robots, self.join_daemon()).run(), name="diagnostics")
             self.spawn(_log_what_is_missing(), name="log")
             self.is_running.set()
             await self.gates.run()
-
-    def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> None:
-        """Run work at most as long as the hub; not at all while the hub ends. A crash ends only this work."""
-        if self._tasks is None:
-            raise RuntimeError("the hub does not run yet")
-        isolated = self._isolated(work, name)
-        try:
-            task = self._tasks.create_task(isolated, name=name)
-        except RuntimeError:  # the hub is ending: the work would be cancelled before its first turn
-            isolated.close()
-            work.close()
-            return
-        task.add_done_callback(lambda _: work.close())  # a task that is cancelled before its first turn never awaits it
-
-    async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
-        with self.isolation.around("task", task=name):
-            await work
-
-    def view(self, group: str) -> GraphView:
-        """Return the view of the graph for all participants of one group."""
-        view = self._views.get(group)
-        if view is None:
-            view = self._views[group] = GraphView(self.topics, self.services, self.changes, group)
-        return view
-
-    def turns(self) -> Turns:
-        """Create the share of one more link or participant in the event loop."""
-        return Turns(self.share)
 
     def reconfigure(self, config: Config, places: Places) -> dict[str, str]:
         """Change names and limits of robots. Return the new names of connected robots by their old ones.
@@ -214,7 +146,7 @@ class Hub:
                 await self.links.silence()
         self.links.end_all()
 
-    def note_robot(self, name: str) -> None:
+    def _note_robot(self, name: str) -> None:
         """Note that a robot of this name connected, disconnected or was forgotten."""
         self.changes.note(GraphKind.ROBOT, name)
         self._lock_services.update(name)

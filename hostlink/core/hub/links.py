@@ -5,7 +5,7 @@ import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import structlog
 from structlog.contextvars import bind_contextvars, unbind_contextvars
@@ -14,22 +14,34 @@ from hostlink.core.config import Config, LinkConfig
 from hostlink.core.hub.device import Device, ShownNames
 from hostlink.core.hub.device_calls import DeviceCalls
 from hostlink.core.hub.parameters import ParameterAnswers, ParameterSource
-from hostlink.core.hub.robot import LocalRobot, command_settings
+from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.hub.robot_settings import command_settings
+from hostlink.core.hub.robot_topic_publisher import RobotTopicPublisher
+from hostlink.core.hub.robots import Robots
+from hostlink.core.hub.shared import Shared
 from hostlink.core.link.capture_buffer import CaptureRoom
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import Authenticate, LinkEnd, trust
 from hostlink.core.protocol import events
 from hostlink.core.protocol.session import DeviceProtocol
 from hostlink.core.robot.events import EventKind
-from hostlink.core.robot.model import CommandSettings, RobotTopicNames, find_robot, misfit, namespace_of, unannounced
+from hostlink.core.robot.model import (
+    CommandSettings,
+    RobotTopicNames,
+    Suggestion,
+    find_robot,
+    misfit,
+    name_of,
+    namespace_of,
+    suggest,
+    suggestion,
+    unannounced,
+)
 from hostlink.core.robot.names import SURE_S, UNNAMED, Accepted, Directory, Origin, Places, Remembered, Undecided
 from hostlink.core.robot.parts import Membership
 from hostlink.core.runtime.logs import of_peer, printable
 from hostlink.core.transport.base import Transport
 from hostlink.errors import ConfigError, HostlinkError, ReloadRefused
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.hub import Hub
 
 log = structlog.get_logger()
 
@@ -47,20 +59,28 @@ class Links:
     of each live link; events of a link that was replaced are ignored.
     """
 
-    def __init__(self, hub: "Hub") -> None:
+    def __init__(
+        self,
+        shared: Shared,
+        robots: Robots,
+        robot_topics: RobotTopicPublisher,
+        log_line: Callable[[str, events.DeviceLogged], None],
+    ) -> None:
+        """`log_line` shows a line of a device's log in the graph, by the name of its source."""
         self.parameter_source: ParameterSource | None = None  # for parameters that are not set here
-        self.wall_ns = hub.wall_ns  # time in answers to devices
+        self.wall_ns = shared.wall_ns  # time in answers to devices
         self.undelivered = 0  # dropped messages of devices that were not identified yet
         self.late_answers = 0  # answers of devices' services after the timeout of the call
         self.on_named: Callable[[], None] = lambda: None  # called when a robot has its name
-        self._hub, self._devices = hub, hub.robots.devices
-        self._directory = Directory(addresses_of(hub.config), commands_by_name(hub.config))
-        self._ends = hub.turns()
-        self.calls = DeviceCalls(hub, give_up=self._give_up, name_of=self._service_name)
+        self._shared, self._robots, self._devices = shared, robots, robots.devices
+        self._robot_topics, self._log_in_graph = robot_topics, log_line
+        self._directory = Directory(addresses_of(shared.config), commands_by_name(shared.config))
+        self._ends = shared.turns()
+        self.calls = DeviceCalls(shared, give_up=self._give_up, name_of=self._service_name)
         # What every session and link gets, made once.
         self._capture_room = CaptureRoom()
-        self._react, self._wall_ns, self._pauses = self.react, self._read_wall_ns, hub.gates.pauses
-        self._parameters = ParameterAnswers(hub.parameters, lambda: self.parameter_source, hub.spawn)
+        self._react, self._wall_ns, self._pauses = self.react, self._read_wall_ns, shared.gates.pauses
+        self._parameters = ParameterAnswers(shared.parameters, lambda: self.parameter_source, shared.spawn)
         self._reactions: dict[type[Any], Callable[[Device, Any], None]] = {
             events.TopicsNegotiated: self._announce,
             events.TopicRefused: _log_refused_topic,
@@ -77,10 +97,10 @@ class Links:
 
     def open(self, transport: Transport, protocol: DeviceProtocol, link_config: LinkConfig | None = None) -> Link:
         """Create the link of one connection, whose device speaks this protocol. `serve` must follow."""
-        hub = self._hub
-        config = hub.config.link if link_config is None else link_config
+        shared = self._shared
+        config = shared.config.link if link_config is None else link_config
         session = protocol.session(
-            hub.catalog,
+            shared.catalog,
             uart_bytes_s=self._uart_bytes_s(transport, config),
             max_topics=config.max_topics,
             is_lossy=transport.kind == "udp",
@@ -89,41 +109,48 @@ class Links:
             transport,
             session,
             config,
-            number=hub.robots.new_number(),
+            number=self._robots.new_number(),
             on_event=self._react,
-            share=hub.share,
+            share=shared.share,
             room=self._capture_room,
             wall_ns=self._wall_ns,
             pauses=self._pauses,
         )
-        self._devices[link.number] = Device(link, hub.diagnoses.begin(link), self._directory.presence(link.number), hub)
+        self._devices[link.number] = Device(
+            link,
+            shared.diagnoses.begin(link),
+            self._directory.presence(link.number),
+            shared,
+            self._robots,
+            self._suggest,
+        )
         self._capture_room.divide(len(self._devices))
         return link
 
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
         """Serve a link to its end. The protocol begins when `authenticate` returns."""
-        hub, end = self._hub, LinkEnd.CRASHED
+        shared, end = self._shared, LinkEnd.CRASHED
         bound = {"link": link.number, "peer": printable(link.peer), **of_peer(link.address)}
         bind_contextvars(**bound)  # `bound_contextvars` would keep a generator for each link
         try:
             log.info("link.opened")
-            hub.events.note(EventKind.LINK_OPENED, "", link=link.number, peer=link.peer)
+            shared.events.note(EventKind.LINK_OPENED, "", link=link.number, peer=link.peer)
             try:
-                with hub.isolation.around("link"):  # a bug in one link must not stop another robot
+                with shared.isolation.around("link"):  # a bug in one link must not stop another robot
                     end = await link.run(authenticate)
                     await self._ends.wait(END_S, is_flooding=True)  # many links that end at once are removed one by one
             except asyncio.CancelledError:
                 end = LinkEnd.STOPPED
                 raise
             finally:
-                with hub.isolation.around("link"):
+                with shared.isolation.around("link"):
                     played = self._played_robot(link)
                     self._forget(link)
                     if played is not None:
-                        hub.robots.forget_played(played)
+                        self._robots.forget_played(played)
                     self.calls.leave(link)
-                    hub.diagnoses.finish(link, end)
-                hub.events.note(EventKind.LINK_CLOSED, "", link=link.number, peer=link.peer, reason=end.value)
+                    shared.diagnoses.finish(link, end)
+                shared.events.note(EventKind.LINK_CLOSED, "", link=link.number, peer=link.peer, reason=end.value)
                 facts = dataclasses.asdict(link.facts())
                 log.info("link.closed", reason=end.value, **facts.pop("counts"), **facts)
         finally:
@@ -153,13 +180,13 @@ class Links:
 
     def _uart_bytes_s(self, transport: Transport, config: LinkConfig) -> int | None:
         here = (transport.peer, transport.address)
-        rates = (robot.uart_bytes_s for robot in self._hub.config.robots.values() if robot.address in here)
+        rates = (robot.uart_bytes_s for robot in self._shared.config.robots.values() if robot.address in here)
         return next((rate for rate in rates if rate is not None), config.uart_bytes_s)
 
     async def _give_up(self, link: Link) -> None:
         """Stop a device that waits for an answer that does not fit its buffer, and end its link."""
         device = self._devices.get(link.number)
-        self._hub.gates.stop_at_once([] if device is None else device.drivables)
+        self._shared.gates.stop_at_once([] if device is None else device.drivables)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SILENCE_TIMEOUT_S):
                 await _silence([link])
@@ -168,7 +195,7 @@ class Links:
     def _service_name(self, link: Link, name: str) -> str:
         """Return the service in the robot's namespace if it exists; else the announced name."""
         shown = self.shown_name(link, name)
-        return shown if self._hub.services.is_offered(shown) else name
+        return shown if self._shared.services.is_offered(shown) else name
 
     # -- events of sessions -------------------------------------------------------------------------------------------
 
@@ -179,13 +206,13 @@ class Links:
             return
         device.presence.note_read(link.received_at_s)
         if not isinstance(event, events.MessageReceived):
-            self._hub.diagnoses.note(device.diagnosis, event)
+            self._shared.diagnoses.note(device.diagnosis, event)
             reaction = self._reactions.get(type(event))
             if reaction is not None:  # otherwise the session alone has reacted
                 reaction(device, event)
         elif device.is_undecided:
             self.undelivered += device.early.add(event, (link.received_at_s, link.came_s))
-        elif not self._hub.gates.is_closed:
+        elif not self._shared.gates.is_closed:
             device.receive(event)
 
     def _announce(self, device: Device, event: events.TopicsNegotiated) -> None:
@@ -200,8 +227,8 @@ class Links:
     def _log_line(self, device: Device, event: events.DeviceLogged) -> None:
         robot, link = device.robot, device.link
         name = "" if robot is None else robot.name
-        self._hub.events.note(EventKind.LOGGED, name, link=link.number, level=event.level, text=event.text)
-        self._hub.rosout.log(name or link.peer, event)
+        self._shared.events.note(EventKind.LOGGED, name, link=link.number, level=event.level, text=event.text)
+        self._log_in_graph(name or link.peer, event)
 
     def _answer_parameter(self, device: Device, event: events.ParameterRequested) -> None:
         shown = device.shown.of(event.name)
@@ -228,7 +255,7 @@ class Links:
     def forget_robot(self, robot: LocalRobot) -> None:
         """Forget a robot that has been disconnected for long."""
         self._directory.forget(robot.name)
-        self._hub.robot_topics.forget(robot)
+        self._robot_topics.forget(robot)
 
     def check(self, places: Places) -> None:
         """Check whether robots may be named by these places.
@@ -237,7 +264,7 @@ class Links:
             ReloadRefused: a robot that is driven or locked would have another name.
         """
         for name in self._directory.misplaced(places):
-            robot = self._hub.robots.get_here(name)
+            robot = self._robots.get_here(name)
             if robot is None:
                 continue
             if any(drivable.gate.is_driven for drivable in robot.beside):
@@ -256,7 +283,7 @@ class Links:
         for link in touched:
             self._leave_graph(self._devices[link])
         for name in misplaced:
-            self._hub.robots.forget(name)
+            self._robots.forget(name)
         for link in touched:
             self._identify(self._devices[link])
         found = {name: self._devices[link].robot for name, link in links.items()}
@@ -285,7 +312,7 @@ class Links:
             self.undelivered += len(device.early)
             self._directory.leave(link.number)
             self._leave_graph(device)
-            self._hub.gates.release(link)  # the device may have driven another one
+            self._shared.gates.release(link)  # the device may have driven another one
 
     def _played_robot(self, link: Link) -> LocalRobot | None:
         """Return the robot of a link on which a recording is played; None for a device, or after a replacement."""
@@ -305,7 +332,7 @@ class Links:
         )
         if isinstance(claim, Undecided):
             self._wait(device, claim)
-        elif claim.robot is not None and not self._hub.robots.make_room(claim.robot.name):
+        elif claim.robot is not None and not self._robots.make_room(claim.robot.name):
             self._refuse(link, claim.robot.name)
         else:
             self._accept(device, claim)
@@ -320,7 +347,7 @@ class Links:
             device.is_undecided = True
             self._leave_graph(device)
             device.stand()
-            self._hub.spawn(self._decide(device), name=f"identity of link {device.link.number}")
+            self._shared.spawn(self._decide(device), name=f"identity of link {device.link.number}")
 
     async def _decide(self, device: Device) -> None:
         while device.is_undecided:
@@ -350,14 +377,14 @@ class Links:
         changed = [] if before is None else [before]
         robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
         if robot is None:
-            self._hub.robots.vanish(device)
+            self._robots.vanish(device)
             device.announce(device.infos, ShownNames())
         else:
             changed.append(robot)
         device.is_undecided = False
         changed += self._regroup(joined)
         device.refused_settings = self._misfit(device, claim)
-        self._hub.robot_topics.update(changed, touched | device.names)
+        self._robot_topics.update(changed, touched | device.names)
         self._log_name(device, claim)
         self.on_named()
         self._log_unguarded(device)
@@ -369,7 +396,7 @@ class Links:
 
     def _misfit(self, device: Device, claim: Accepted) -> str:
         """Return what does not fit in the settings of a robot, now that its device is accepted; empty: nothing."""
-        settings, boards = claim.settings, self._hub.robots.boards_of(device)
+        settings, boards = claim.settings, self._robots.boards_of(device)
         if device.diagnosis.is_played:
             return device.refused_settings
         endpoints = [each for board in boards for each in board.endpoints]
@@ -383,7 +410,7 @@ class Links:
 
         A device that is a robot by itself is one with wrong settings, too: with its name, limits, stop and lock.
         """
-        before, robots = device.robot, self._hub.robots
+        before, robots = device.robot, self._robots
         own = dataclasses.replace(names, name=claim.own_name)
         shown = ShownNames(own, names.name)
         try:
@@ -410,7 +437,7 @@ class Links:
     def _locked_before(self, device: Device, robot: LocalRobot, claim: Accepted) -> LocalRobot | None:
         """Return the locked robot whose name a device without its topics had until the right one connected."""
         name = self.origin_of(device)[1] if misfit(claim.settings, device.endpoints) else None
-        other = None if name is None else self._hub.robots.get_here(name)
+        other = None if name is None else self._robots.get_here(name)
         return other if other is not None and other is not robot and other.gate.lock_reason is not None else None
 
     def _displace(self, robot: LocalRobot) -> None:
@@ -419,8 +446,8 @@ class Links:
         Another robot keeps a topic of its own, unless it is this robot's velocity topic.
         """
         for name, type_name in robot.shown.own.items():
-            for key in self._hub.topics.devices_against(name, type_name):
-                device = self._hub.robots.device(key)
+            for key in self._shared.topics.devices_against(name, type_name):
+                device = self._robots.device(key)
                 other = None if device is None else device.robot
                 is_command = name in {topic.name for topic in robot.shown.commands}
                 is_own = other is not None and name in other.shown.own and not is_command
@@ -457,13 +484,33 @@ class Links:
                 log.warning("device.unguarded_command", topics=printable(topics, MAX_TEXT), advice=advice)
         device.diagnosis.noted = noted
 
+    def _suggest(self, device: Device) -> Suggestion | None:
+        """Return the settings that make a device a robot; None if it is one, or nothing looks like a command."""
+        suspects, robots = device.unguarded_topics, self._robots
+        if not suspects or device.robot_name is not None:
+            return None
+        others: dict[str, Suggestion | None] = {
+            each.suggested.name: each.suggested
+            for each in self._devices.values()
+            if each is not device and each.suggested is not None
+        }
+        address = device.link.address
+        name = self.origin_of(device)[1]
+        if name is not None and robots.is_free(name) and name not in others:  # its table gets the lines
+            if command_settings(robots.config_of(name)).topics:
+                return None  # it has a command: what does not fit in it is a finding
+            return Suggestion(name, address, suggestion(suspects, name, "", is_configured=True))
+        others |= dict.fromkeys(robots.taken_names())
+        name = name_of(suspects[0].name) or "my_robot"
+        return suggest(suspects, name, address, device.link.peer, others)
+
     def origin_of(self, device: Device) -> tuple[str, str | None]:
         """Return the source of the name of a device's robot, and the robot whose settings apply to the device.
 
         The first is empty if it is not a robot.
         """
         link = device.link
-        origin, configured = Origin("", link.address, link.peer), self._hub.config.robots
+        origin, configured = Origin("", link.address, link.peer), self._shared.config.robots
         found, chosen = self._directory.explain(device.endpoints, origin)
         robot = device.robot
         settings = chosen if chosen is not None else robot.name if robot and robot.name in configured else None
@@ -490,30 +537,30 @@ class Links:
             old.link.end(LinkEnd.REPLACED)
 
     def _leave_graph(self, device: Device) -> None:
-        touched, robot = device.names, self._hub.robots.vanish(device)
+        touched, robot = device.names, self._robots.vanish(device)
         device.leave()
         member, device.member = device.member, None
         changed = self._regroup(() if member is None else (member.robot,))
         if robot is not None and robot not in changed:
             changed.append(robot)
         if changed or touched:
-            self._hub.robot_topics.update(changed, touched)
+            self._robot_topics.update(changed, touched)
 
     def _regroup(self, names: Iterable[str]) -> list[LocalRobot]:
         """Find the parts of robots of several devices anew. Return these robots."""
         names = set(names)
-        found = [self._hub.robots.regroup(name) for name in names]
+        found = [self._robots.regroup(name) for name in names]
         for device in self._devices.values() if names else ():
             member = device.member
             if member is not None and member.is_waiting and member.robot in names and self._directory.is_free(member):
-                self._hub.spawn(self._take_place(device, member), name=f"place of link {device.link.number}")
+                self._shared.spawn(self._take_place(device, member), name=f"place of link {device.link.number}")
         return [robot for robot in found if robot is not None]
 
     async def _take_place(self, device: Device, member: Membership) -> None:
         """Let a device that waits take its place, if the one before has not come back when the robot has stopped."""
         await asyncio.sleep(SURE_S)
         while device.member is member and self._directory.is_free(member):
-            if not self._hub.robots.may_robot_move(member.robot):
+            if not self._robots.may_robot_move(member.robot):
                 peer = printable(device.link.peer)
                 log.warning("robot.device_replaced", robot=member.robot, device=printable(member.place), peer=peer)
                 self._directory.offer(device.link.number)

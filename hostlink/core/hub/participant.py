@@ -6,15 +6,15 @@ Payloads are bytes, as devices send and receive them. Other languages are transl
 import asyncio
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING
 
+from hostlink.core.hub.any_robot import AnyRobot
 from hostlink.core.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from hostlink.core.hub.gates import ENDING
 from hostlink.core.hub.graph_view import Graph
 from hostlink.core.hub.message import PROGRAM_PRIORITY
 from hostlink.core.hub.node import Node, Role
-from hostlink.core.hub.robot import AnyRobot
 from hostlink.core.hub.services import Answer, Notify, Provider
+from hostlink.core.hub.shared import Shared
 from hostlink.core.hub.subscription import Subscription
 from hostlink.core.hub.topic import Receive, Topic
 from hostlink.core.hub.topic_graph import resolve
@@ -24,9 +24,6 @@ from hostlink.core.robot.events import RobotEvent
 from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from hostlink.core.runtime.cancellation import expire, within
 from hostlink.errors import BadRequest, DeviceGone, NoRole, ServiceFailed, UnknownTopic, WrongType
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.hub import Hub
 
 MAX_ADVERTISED = 256  # topics
 MAX_LATCHED = 16  # latched topics; each keeps a message
@@ -44,7 +41,7 @@ class Participant(Node):
 
     def __init__(
         self,
-        hub: "Hub",
+        shared: Shared,
         name: str,
         *,
         role: Role = Role.DRIVE,
@@ -61,8 +58,8 @@ class Participant(Node):
         super().__init__(name, is_daemon=is_daemon, group=group)
         self.role, self.priority = role, priority
         self.has_left = False
-        self.view = hub.view(group)  # of the graph, with the changes since a version
-        self._hub, self._on_end = hub, on_end
+        self.view = shared.view(group)  # of the graph, with the changes since a version
+        self._shared, self._on_end = shared, on_end
         self._advertised: dict[str, bool] = {}  # topic -> whether it is latched
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
@@ -81,7 +78,7 @@ class Participant(Node):
         """
         self.check(Role.DRIVE, "advertise")
         name = resolve(topic)
-        if self._hub.catalog.message(type_name) is None:
+        if self._shared.catalog.message(type_name) is None:
             raise BadRequest(f"unknown type {type_name}; put its .msg into a folder named in message_folders")
         is_latched = is_latched or self._advertised.get(name, False)
         latched = {each for each, is_kept in self._advertised.items() if is_kept}
@@ -89,14 +86,14 @@ class Participant(Node):
             raise BadRequest(f"more than {MAX_ADVERTISED} topics advertised")
         if is_latched and len(latched | {name}) > MAX_LATCHED:
             raise BadRequest(f"more than {MAX_LATCHED} latched topics")
-        found = self._hub.topics.advertise(name, self, type_name=type_name, is_latched=is_latched)
+        found = self._shared.topics.advertise(name, self, type_name=type_name, is_latched=is_latched)
         self._advertised[name] = is_latched
         return found
 
     def unadvertise(self, topic: str) -> None:
         """Stop publishing a topic. Do nothing if it was not advertised."""
         self._advertised.pop(resolve(topic), None)
-        self._hub.topics.unadvertise(topic, self)
+        self._shared.topics.unadvertise(topic, self)
 
     def message_type(self, topic: str, type_name: str = "") -> MessageType:
         """Return the type of a topic's messages: that of the topic if it has one, else the one of this name.
@@ -105,10 +102,10 @@ class Participant(Node):
             UnknownTopic: neither the topic nor the type is known.
             WrongType: the topic has another type, or one without a definition.
         """
-        known = self._hub.topics.find_or_none(topic)
-        named = self._hub.catalog.message(type_name) if type_name else None
+        known = self._shared.topics.find_or_none(topic)
+        named = self._shared.catalog.message(type_name) if type_name else None
         if known is None and named is None:
-            raise UnknownTopic("topic", topic, self._hub.topics.names())
+            raise UnknownTopic("topic", topic, self._shared.topics.names())
         if known is not None and known.type_name and named is not None and known.type_name != named.name:
             raise WrongType(known.name, known.type_name, named.name)
         found = known.type if known is not None and known.type_name else named
@@ -137,16 +134,16 @@ class Participant(Node):
             BadRequest: the message was delivered, but there is no room to latch it.
         """
         self.check(Role.DRIVE, "publish")
-        if self._hub.gates.is_closed:
+        if self._shared.gates.is_closed:
             raise DeviceGone(topic, ENDING)
-        known = self._hub.topics.find_or_none(topic)
+        known = self._shared.topics.find_or_none(topic)
         if known is None or self not in known.publishers:
             self.note_publishing(topic)
         if known is not None:
             before = known.latched.get(self)
-            is_kept = self not in known.latched or self._hub.topics.budget.can_latch(self, before, payload)
+            is_kept = self not in known.latched or self._shared.topics.budget.can_latch(self, before, payload)
             wanted_priority = self.priority if priority is None else priority
-            deliveries = self._hub.topics.deliveries
+            deliveries = self._shared.topics.deliveries
             senders = deliveries.begin_sending(self)
             try:
                 known.publish(payload, source=self, priority=wanted_priority, at_s=at_s, epoch=epoch)
@@ -169,12 +166,12 @@ class Participant(Node):
             CommandRefused: the robot's admission has refused the velocity.
             HostlinkError: the velocity does not fit the device, which is stopped.
         """
-        topics = self._hub.topics
+        topics = self._shared.topics
         known = topics.find_or_none(topic)
         target = None if known is None or known.type_name != TWIST_TYPE else known.target
         if known is None or target is None or self in known.latched:
             return False
-        if self.has_left or self.role < Role.DRIVE or self._hub.gates.is_closed:
+        if self.has_left or self.role < Role.DRIVE or self._shared.gates.is_closed:
             return False
         if self not in known.publishers:  # as `note_publishing`
             topics.earlier.note(known.name, self, asyncio.get_running_loop().time())
@@ -192,7 +189,7 @@ class Participant(Node):
 
     def note_publishing(self, topic: str) -> None:
         """Note a publisher of a topic without subscribers. It does not drive a device that subscribes later."""
-        self._hub.topics.earlier.note(resolve(topic), self, asyncio.get_running_loop().time())
+        self._shared.topics.earlier.note(resolve(topic), self, asyncio.get_running_loop().time())
 
     def subscribe(
         self,
@@ -221,13 +218,13 @@ class Participant(Node):
             interval_s=interval_s,
             queue_length=queue_length,
             group=self.group,
-            share=self._hub.topics.budget["held_back"],
+            share=self._shared.topics.budget["held_back"],
             owner=self,
             type_name=type_name,
         )
         self._subscriptions[subscription] = None
         try:
-            subscription.enter(*self._hub.topics.subscribe(topic, subscription))
+            subscription.enter(*self._shared.topics.subscribe(topic, subscription))
         except WrongType:
             del self._subscriptions[subscription]
             raise
@@ -237,7 +234,7 @@ class Participant(Node):
 
     def unsubscribe(self, subscription: Subscription, topic: Topic, number: int) -> None:
         """Remove a closed subscription from the topic, where it has this number."""
-        self._hub.topics.unsubscribe(topic, number)
+        self._shared.topics.unsubscribe(topic, number)
         self._subscriptions.pop(subscription, None)
 
     def flush(self, now_s: float) -> float | None:
@@ -287,13 +284,13 @@ class Participant(Node):
             is_reading=is_reading,
             ignores_request=ignores_request,
         )
-        self._hub.services.provide(provider)
+        self._shared.services.provide(provider)
         self._services.add(name)
 
     def withdraw(self, service: str) -> None:
         """Stop providing a service. Do nothing if it was not provided."""
         self._services.discard(resolve(service))
-        self._hub.services.withdraw(service, self)
+        self._shared.services.withdraw(service, self)
 
     async def call(
         self, service: str, request: Mapping[str, object], *, timeout_s: float | None = None
@@ -306,12 +303,12 @@ class Participant(Node):
             ServiceFailed, DeviceBusy, DeviceGone, FrameTooLarge: the call failed.
         """
         self.check(Role.READ, "call_service")
-        if self.role < Role.DRIVE and not self._hub.services.is_reading(service):
+        if self.role < Role.DRIVE and not self._shared.services.is_reading(service):
             raise NoRole("the token may only read: it may call only services that read; use one with the role drive")
         if len(self._calls) >= MAX_CALLS:
             raise BadRequest(f"more than {MAX_CALLS} calls under way")
         try:
-            return await within(None, self._hub.services.call(service, request, timeout_s=timeout_s), self._calls)
+            return await within(None, self._shared.services.call(service, request, timeout_s=timeout_s), self._calls)
         except TimeoutError:
             raise ServiceFailed(service, f"{self.name} has left") from None
 
@@ -357,7 +354,7 @@ class Participant(Node):
             is_planar=is_planar,
             take_over=take_over,
         )
-        deliveries = self._hub.topics.deliveries
+        deliveries = self._shared.topics.deliveries
         senders = deliveries.begin_sending(self)
         try:
             if reason and velocity.is_zero and is_planar:
@@ -401,7 +398,7 @@ class Participant(Node):
         """
         self.check(Role.READ, "watch_graph")
 
-        self._hub.changes.watch(self, partial(self._notify, on_change))
+        self._shared.changes.watch(self, partial(self._notify, on_change))
 
     def observe(self, receive: Callable[[RobotEvent], None]) -> None:
         """Call `receive` with every event of robots and links, until the participant leaves.
@@ -410,7 +407,7 @@ class Participant(Node):
             BadRequest: the participant has left.
         """
         self.check(Role.READ, "observe")
-        self._hub.events.observe(self, partial(self._notify, receive))
+        self._shared.events.observe(self, partial(self._notify, receive))
 
     def _notify(self, callback: Callable[..., None], *given: object) -> None:
         """Call a callback. An exception ends this participant, and does not reach the caller."""
@@ -438,7 +435,7 @@ class Participant(Node):
         if not self.is_daemon:
             self.leave()
             self._on_end()
-        self._hub.isolation.crashed("participant", error, participant=self.name)
+        self._shared.isolation.crashed("participant", error, participant=self.name)
 
     def leave(self) -> None:
         """Release everything: its robots stop, its services are withdrawn, its calls fail."""
@@ -447,15 +444,15 @@ class Participant(Node):
         self.has_left = True
         for subscription in self._subscriptions:
             subscription.is_closed = True  # it does not receive its own last zero
-        self._hub.gates.release(self)
+        self._shared.gates.release(self)
         for subscription in list(self._subscriptions):
             subscription.close()
         for robot in self._followed:
             robot.followers.pop(self, None)
-        self._hub.changes.unwatch(self)
-        self._hub.events.leave(self)
-        self._hub.topics.leave(self)
-        self._hub.services.leave(self)
+        self._shared.changes.unwatch(self)
+        self._shared.events.leave(self)
+        self._shared.topics.leave(self)
+        self._shared.services.leave(self)
         for end in self._calls:
             expire(end)
         self._advertised.clear()

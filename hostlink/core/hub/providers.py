@@ -4,16 +4,24 @@ import asyncio
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Hashable, Iterator
-from typing import TYPE_CHECKING
 
+from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import DeviceGone, HostlinkError
 
-if TYPE_CHECKING:
-    from hostlink.core.hub.device import CommandEndpoint
-    from hostlink.core.hub.remote_robot import RemoteRobot
-
 SETTLE_TIMEOUT_S = 2.0  # for the answers to a stop; the zeros of robots here were sent before
+
+
+class ProvidedRobot(ABC):
+    """Robot of another host, as its provider knows it."""
+
+    name: str
+    host: str  # as users see it
+    place: Hashable  # identifies the host: names may repeat
+
+    @abstractmethod
+    def note_answer(self, owner: Hashable, epoch: int | None, *, is_refused: bool) -> None:
+        """Note its host's answer to a command of a source. A refused source keeps the robot from no driver here."""
 
 
 class RobotProvider(ABC):
@@ -27,7 +35,7 @@ class RobotProvider(ABC):
     @abstractmethod
     def drive(
         self,
-        robot: "RemoteRobot",
+        robot: ProvidedRobot,
         velocity: PlanarVelocity,
         *,
         owner: Hashable,
@@ -43,7 +51,7 @@ class RobotProvider(ABC):
         """
 
     @abstractmethod
-    def answer(self, robot: "RemoteRobot", owner: Hashable) -> Awaitable[PlanarVelocity]:
+    def answer(self, robot: ProvidedRobot, owner: Hashable) -> Awaitable[PlanarVelocity]:
         """Return the later answer to the newest command of a source until now: the velocity after the limits.
 
         Raises (when it is awaited):
@@ -63,7 +71,7 @@ class RobotProvider(ABC):
         """Stop every robot of this name and refuse commands until it is unlocked; None: as for `stop`."""
 
     @abstractmethod
-    def unlock(self, robot: "RemoteRobot") -> None:
+    def unlock(self, robot: ProvidedRobot) -> None:
         """Admit commands of a robot again.
 
         Raises:
@@ -75,7 +83,7 @@ class RobotProvider(ABC):
         """Admit commands of boards again, and of robots that are not announced here."""
 
     @abstractmethod
-    async def settled(self) -> "list[CommandEndpoint]":
+    async def settled(self) -> list[CommandEndpoint]:
         """Wait until the stops, locks and unlocks so far are answered, for a second at most.
 
         Return the endpoints there that command a motion and are not a robot's.
@@ -100,7 +108,7 @@ class Provision:
 
     def drive(
         self,
-        robot: "RemoteRobot",
+        robot: ProvidedRobot,
         velocity: PlanarVelocity,
         *,
         owner: Hashable,
@@ -125,7 +133,7 @@ class Provision:
                 take_over=take_over,
             )
 
-    def answer(self, robot: "RemoteRobot", owner: Hashable) -> Awaitable[PlanarVelocity]:
+    def answer(self, robot: ProvidedRobot, owner: Hashable) -> Awaitable[PlanarVelocity]:
         """Return the later answer; as `RobotProvider.answer`.
 
         Raises:
@@ -138,7 +146,7 @@ class Provision:
         with self._caught():
             return await answer
 
-    def unlock(self, robot: "RemoteRobot") -> None:
+    def unlock(self, robot: ProvidedRobot) -> None:
         """Unlock a robot; as `RobotProvider.unlock`.
 
         Raises:
@@ -154,7 +162,7 @@ class Provision:
         except Exception as error:  # noqa: BLE001 - robots here must be stopped, too
             self._fail(error)
 
-    async def settled(self) -> "list[CommandEndpoint]":
+    async def settled(self) -> list[CommandEndpoint]:
         """Wait for the answers; as `RobotProvider.settled`.
 
         Raises:
@@ -236,7 +244,7 @@ class Providers:
         for each in tuple(self._all):
             each.order(lambda provider: provider.unlock_all())
 
-    async def settled(self) -> "list[CommandEndpoint]":
+    async def settled(self) -> list[CommandEndpoint]:
         """Wait until all providers have answered the stops, locks and unlocks so far.
 
         Return their endpoints that command a motion and are not a robot's.
@@ -244,7 +252,7 @@ class Providers:
         Raises:
             DeviceGone: one of them has not answered, or has failed; all others have been waited for.
         """
-        found, refusal = list["CommandEndpoint"](), None
+        found, refusal = list[CommandEndpoint](), None
         for each in tuple(self._all):
             try:
                 found += await each.settled()

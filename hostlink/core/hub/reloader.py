@@ -4,22 +4,19 @@ import asyncio
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Coroutine, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import structlog
 
 from hostlink.core.config import Config, RobotConfig
 from hostlink.core.hub.links import addresses_of
-from hostlink.core.hub.robot import LIMITS, limits_of
+from hostlink.core.hub.robot_settings import LIMITS, limits_of
 from hostlink.core.robot.kinematics import SETTINGS
 from hostlink.core.robot.names import Places
 from hostlink.core.runtime.detached import DetachedThread
 from hostlink.errors import HostlinkError, ReloadRefused
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.hub import Hub
 
 log = structlog.get_logger()
 
@@ -107,13 +104,27 @@ class Reloaded:
     renamed: dict[str, str] = field(default_factory=dict)
 
 
+class Reconfigurable(Protocol):
+    """The hub, as the reload of the settings knows it."""
+
+    config: Config
+
+    def reconfigure(self, config: Config, places: Places) -> dict[str, str]:
+        """Change names and limits of robots. Return the new names of connected robots by their old ones."""
+
+    def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> None:
+        """Run work at most as long as the hub. A crash ends only this work."""
+
+
 class Reloader:
     """Reload of the settings. Files are read, and settings are compared and checked, in a thread.
 
     `read` returns the settings as a new start would have them; None if the daemon has no file.
     """
 
-    def __init__(self, hub: "Hub", read: Read | None = None, *, read_timeout_s: float = READ_TIMEOUT_S) -> None:
+    def __init__(
+        self, hub: Reconfigurable, read: Read | None = None, *, read_timeout_s: float = READ_TIMEOUT_S
+    ) -> None:
         self.prepares: list[Prepare] = []  # checks of the parts outside of the hub
         self._hub, self._read, self._read_timeout_s = hub, read, read_timeout_s
         self._thread = DetachedThread("reload")

@@ -1,75 +1,32 @@
 """RemoteRobot: a robot whose gate is not here. A component announces it, and is asked to drive and to stop it."""
 
-import dataclasses
 import math
-import re
 import secrets
 from collections.abc import Awaitable, Callable, Hashable, Iterable
-from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 import structlog
 
+from hostlink.core.hub.any_robot import LOCK_REASON, AnyRobot, Follow, reason_for_motion, shown_reason
 from hostlink.core.hub.gates import Gates
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.node import Node
-from hostlink.core.hub.providers import Provision
-from hostlink.core.hub.robot import LOCK_REASON, AnyRobot, Follow, reason_for_motion, shown_reason
+from hostlink.core.hub.providers import ProvidedRobot, Provision
+from hostlink.core.hub.remote_state import RemoteLink, RemoteOdometry
 from hostlink.core.hub.topic import DeviceSubscription
 from hostlink.core.hub.topic_graph import TopicGraph
 from hostlink.core.robot.admission import EPOCH_BITS, Admission, Command
 from hostlink.core.robot.feedback import FeedbackKind
-from hostlink.core.robot.odometry import OdometrySnapshot, aged_rate_hz
 from hostlink.core.robot.standstill import NO_ODOMETRY
 from hostlink.core.robot.state import DEVICE_AWAY, RobotState
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.loop_time import loop_time_s
-from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkError, RefusalKind
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.robots import Robots
+from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind
 
 log = structlog.get_logger()
 
-MAX_REMOTE = 4096  # robots of all components
 
-
-class RemoteLink(NamedTuple):
-    """Connection of a device of another host. `number` is of this daemon, `own_number` of its host."""
-
-    number: int
-    own_number: int
-
-
-class RemoteOdometry:
-    """Newest pose of a robot of another host."""
-
-    def __init__(self) -> None:
-        self.read_at_s = -math.inf
-        self.count = 0
-        self._newest: OdometrySnapshot | None = None
-        self._at_s = 0.0
-
-    def withdraw(self) -> None:
-        """Drop the newest pose: the robot's host has dropped it, too."""
-        self._newest = None
-
-    def update(self, newest: OdometrySnapshot, now_s: float) -> bool:
-        """Set the newest pose. Return whether it differs from the one before."""
-        is_new = self._newest is None or (newest.count, newest.restarts) != (self._newest.count, self._newest.restarts)
-        self._newest, self._at_s, self.count = newest, now_s, newest.count
-        return is_new
-
-    def snapshot(self, now_s: float) -> OdometrySnapshot | None:
-        """Return the newest pose with its age; None before the first."""
-        self.read_at_s = now_s
-        if self._newest is None:
-            return None
-        age_s = self._newest.age_s + now_s - self._at_s
-        return dataclasses.replace(self._newest, age_s=age_s, rate_hz=aged_rate_hz(self._newest.rate_hz, age_s))
-
-
-class RemoteRobot(AnyRobot):
+class RemoteRobot(AnyRobot, ProvidedRobot):
     """Robot of another host, a daemon or a program, which has its gate and its lease, and describes its state.
 
     Messages on its velocity topics here are commands, as for a robot of this daemon. The admission here decides about
@@ -326,79 +283,3 @@ class RemoteRobot(AnyRobot):
         if self.also_at:
             places = ", ".join((self.host, *self.also_at))
             raise DeviceGone(self.name, f"several robots have this name, at {places}; rename all but one of them")
-
-
-class RemoteRobots:
-    """Robots that one run of a component announces. They are withdrawn with the run."""
-
-    def __init__(self, robots: "Robots", gates: Gates, graph: TopicGraph, provision: Provision) -> None:
-        """Reach the provider from now on."""
-        self._robots, self._gates, self._graph, self._provision = robots, gates, graph, provision
-        self._has_ended = False
-        self._has_lost = False  # robots that it announced until the end
-        gates.providers.add(provision)
-
-    def announce(self, known: RobotState, *, host: str, place: Hashable = "") -> RemoteRobot:
-        """Announce a robot, which is not connected yet. Its name is that of `known`.
-
-        An earlier robot of this name is replaced: its drivers still drive it. `host` names its host, as users see it.
-
-        Raises:
-            BadRequest: the run has ended, the name is invalid, another component announces it, or there are too many.
-        """
-        name = known.name
-        before = self._robots.remote.get(name)
-        if self._has_ended:
-            raise BadRequest(f"robot {name}: the run of {self._provision.name} has ended")
-        if re.fullmatch(r"\w{1,64}", name, re.ASCII) is None:
-            raise BadRequest(f"robot {name!r}: a name has 1 to 64 letters, digits and _")
-        if before is not None and before.provision is not self._provision:
-            raise BadRequest(f"robot {name}: {before.provision.name} announces it already")
-        if before is None and len(self._robots.remote) >= MAX_REMOTE:
-            raise BadRequest(f"robot {name}: more than {MAX_REMOTE} robots are announced")
-        robot = RemoteRobot(
-            known,
-            host=host,
-            place=place,
-            provision=self._provision,
-            gates=self._gates,
-            graph=self._graph,
-            new_number=self._robots.new_number,
-        )
-        if before is not None:
-            robot.admission = before.admission
-        self._robots.put_remote(robot)
-        return robot
-
-    def get(self, name: str) -> RemoteRobot | None:
-        """Return the robot of this name; None if the run announces none."""
-        robot = self._robots.remote.get(name)
-        return robot if robot is not None and robot.provision is self._provision else None
-
-    def all(self) -> list[RemoteRobot]:
-        """Return all robots of the run."""
-        return [each for each in self._robots.remote.values() if each.provision is self._provision]
-
-    def withdraw(self, name: str) -> None:
-        """Announce a robot no longer. Do nothing if the run announces none of this name."""
-        if self.get(name) is not None:
-            self._robots.pop_remote(name)
-
-    def withdraw_all(self) -> None:
-        """Announce no robot any longer. What a source here drives is released."""
-        for robot in self.all():
-            self._has_lost = True
-            robot.release_driver()
-            self._robots.pop_remote(robot.name)
-
-    def close(self, *, is_resumed: bool) -> None:
-        """Withdraw all robots; the provider is not reached again. Called by the daemon at the end of the run.
-
-        `is_resumed`: another run follows. Until then a stop or a lock of all is an error, if there was a robot.
-        """
-        self._has_ended = True
-        self.withdraw_all()
-        if is_resumed and self._has_lost:
-            self._provision.has_ended = True
-        else:
-            self._gates.providers.remove(self._provision)

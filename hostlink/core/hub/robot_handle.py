@@ -3,9 +3,9 @@
 from collections.abc import Awaitable, Callable
 from typing import NamedTuple
 
-from hostlink.core.hub.devices import command_endpoint_view
+from hostlink.core.hub.any_robot import LOCK_REASON, AnyRobot
+from hostlink.core.hub.command_endpoint import command_endpoint_view
 from hostlink.core.hub.participant import Participant
-from hostlink.core.hub.robot import LOCK_REASON, AnyRobot
 from hostlink.core.hub.robot_topic_publisher import twist_topic
 from hostlink.core.hub.robots import Robots
 from hostlink.core.hub.standstills import WAIT_S, Standstills

@@ -7,17 +7,17 @@ import itertools
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from typing import TYPE_CHECKING
 
 import structlog
 
-from hostlink.core.config import RobotConfig
-from hostlink.core.hub.device import CommandEndpoint, Device
-from hostlink.core.hub.gates import Drivable
+from hostlink.core.config import Config, RobotConfig
+from hostlink.core.hub.any_robot import AnyRobot, shown_reason
+from hostlink.core.hub.command_endpoint import CommandEndpoint
+from hostlink.core.hub.device import Device
+from hostlink.core.hub.gates import Drivable, Gates
 from hostlink.core.hub.remote_robot import RemoteRobot
-from hostlink.core.hub.robot import (
-    AnyRobot,
-    LocalRobot,
+from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.hub.robot_settings import (
     command_settings,
     commands_of,
     correction_of,
@@ -26,7 +26,6 @@ from hostlink.core.hub.robot import (
     frames_of,
     limits_of,
     of_namesake,
-    shown_reason,
 )
 from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import Admission, EarlierCommands
@@ -40,9 +39,6 @@ from hostlink.core.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from hostlink.core.robot.velocity_gate import VelocityGate
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import ConfigError, FrameTooLarge, HostlinkError, UnknownTopic
-
-if TYPE_CHECKING:
-    from hostlink.core.hub.hub import Hub
 
 log = structlog.get_logger()
 
@@ -105,15 +101,18 @@ class Robots:
     when that ends.
     """
 
-    def __init__(self, hub: "Hub") -> None:
-        """Create an empty registry.
+    def __init__(self, gates: Gates, config: Config, first_epoch: Callable[[], int]) -> None:
+        """Create an empty registry. `first_epoch` draws the epoch of a new robot.
 
         Raises:
             ConfigError: limits of a robot are invalid. They are checked at the start, not at its first connection.
         """
-        self._hub, self._gates, self._configs = hub, hub.gates, hub.config.robots
-        for config in self._configs.values():
-            limits_of(config)
+        self._gates, self._configs, self._first_epoch = gates, config.robots, first_epoch
+        # Called with the name of a robot that connected, disconnected or was forgotten, and with a forgotten robot.
+        self.on_change: Callable[[str], None] = lambda _: None
+        self.on_forgotten: Callable[[LocalRobot], None] = lambda _: None
+        for each in self._configs.values():
+            limits_of(each)
         self.forgotten = 0
         self.max_robots = MAX_ROBOTS + len(self._configs)
         self.devices: dict[int, Device] = {}  # oldest first
@@ -122,7 +121,7 @@ class Robots:
         self._numbers = itertools.count(1)
         self._robots: dict[str, LocalRobot] = {}
         self._earlier = EarlierCommands()
-        self._away = RetentionPolicy(hub.config.link.forget_robot_after_s)  # robots that may be forgotten
+        self._away = RetentionPolicy(config.link.forget_robot_after_s)  # robots that may be forgotten
         self._wake = asyncio.Event()
 
     # -- links --------------------------------------------------------------------------------------------------------
@@ -200,7 +199,7 @@ class Robots:
         topics = RobotTopicNames(name, (command,))
         feedback = Feedback((), FeedbackSettings(), drive_in(config))
         self._add(self._make(name, topics, topics, TwistCommand(command), feedback))
-        self._hub.note_robot(name)
+        self.on_change(name)
         self.regroup(name)
 
     def _add(self, robot: LocalRobot) -> None:
@@ -418,7 +417,7 @@ class Robots:
         device.diagnosis.monitor.motion.topic = topics.odometry or ""
         self._away.remove(name)
         self._gates.attach(robot, device)
-        self._hub.note_robot(name)
+        self.on_change(name)
         link = device.link
         self._gates.events.note(EventKind.APPEARED, name, link=link.number, peer=link.peer)
         log.info("robot.appeared", robot=name, velocity=shown.velocity, odometry=shown.odometry)
@@ -435,7 +434,7 @@ class Robots:
         log.warning("robot.gone", robot=robot.name)
         self._gates.events.note(EventKind.GONE, robot.name, link=device.link.number, was_moving=was_moving)
         self._put_away(robot)
-        self._hub.note_robot(robot.name)
+        self.on_change(robot.name)
         return robot
 
     def regroup(self, name: str) -> LocalRobot | None:
@@ -500,8 +499,10 @@ class Robots:
     def _note_parts(
         self, robot: LocalRobot, parts: tuple[Device, ...], links: dict[tuple[str, str], Link] | None
     ) -> None:
-        for device in (*robot.parts, *parts):
-            device.read_for(None)
+        touched = (*robot.parts, *parts)
+        for device in self.devices.values():  # what has left reads nothing
+            if device in touched:
+                device.read_for(None)
         robot.parts, robot.feedback_links = parts, links
 
     def _note_missing(self, name: str, drivables: Iterable[Drivable], why_not: str) -> None:
@@ -544,7 +545,7 @@ class Robots:
         self.remote[robot.name] = robot
         self._gates.register(robot.admission)
         self._join_early(robot)
-        self._hub.note_robot(robot.name)
+        self.on_change(robot.name)
 
     def pop_remote(self, name: str) -> RemoteRobot | None:
         """Remove and return a robot that a component has announced; None if there is none of this name."""
@@ -552,7 +553,7 @@ class Robots:
         if robot is not None:
             robot.leave()
             self._gates.unregister(robot.admission)
-            self._hub.note_robot(name)
+            self.on_change(name)
         return robot
 
     def reconfigure(self, configs: dict[str, RobotConfig]) -> None:
@@ -607,7 +608,7 @@ class Robots:
         self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, commands: CommandType, feedback: Feedback
     ) -> LocalRobot:
         config = self._config_of(name, topics.name)
-        admission = Admission(name, epoch=self._hub.first_epoch())
+        admission = Admission(name, epoch=self._first_epoch())
         robot = LocalRobot(
             name=name,
             gates=self._gates,
@@ -643,8 +644,8 @@ class Robots:
             self.forgotten += 1
             log.info("robot.forgotten", robot=name)
             self._gates.events.note(EventKind.FORGOTTEN, name)
-            self._hub.links.forget_robot(robot)
-            self._hub.note_robot(name)
+            self.on_forgotten(robot)
+            self.on_change(name)
 
 
 def _why_waiting(member: Membership, device: Device, holder: Device | None) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, NamedTuple
 
-from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.participant import Participant
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.robot.state import RobotState

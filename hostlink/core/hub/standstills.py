@@ -7,9 +7,9 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from functools import partial
 
+from hostlink.core.hub.any_robot import AnyRobot
 from hostlink.core.hub.gates import Gates
 from hostlink.core.hub.participant import Participant
-from hostlink.core.hub.robot import AnyRobot
 from hostlink.core.hub.robots import Robots
 from hostlink.core.robot.odometry import OdometrySnapshot
 from hostlink.core.robot.standstill import Speeds, Standstill, StandstillState, StopWatch, sentence

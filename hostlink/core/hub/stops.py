@@ -1,8 +1,8 @@
 """Stops: a stop, a lock and an unlock of every robot and board, and the measurement of a stop, for components."""
 
-from hostlink.core.hub.devices import command_endpoint_view
+from hostlink.core.hub.any_robot import LOCK_REASON
+from hostlink.core.hub.command_endpoint import command_endpoint_view
 from hostlink.core.hub.gates import Gates
-from hostlink.core.hub.robot import LOCK_REASON
 from hostlink.core.hub.robot_handle import Measured
 from hostlink.core.hub.robots import Robots
 from hostlink.core.hub.standstills import WAIT_S, Standstills

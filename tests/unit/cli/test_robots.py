@@ -11,7 +11,7 @@ import typer
 from hostlink.cli.robots import _halt, _lock, _stop, _unlock
 from hostlink.client import Host, Robot, Standstill, StandstillState, Stopped, StoppedRobot
 from hostlink.core.config import Config, RobotConfig
-from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.errors import CommandRefused, HostlinkError, Refused, StopFailed
 from tests.support.background import cancelling

@@ -17,9 +17,9 @@ from hostlink.components.gateway.rosbridge import (
     MAX_TEXT,
     MAX_UNKNOWN_OPS,
 )
+from hostlink.core.hub.any_robot import AnyRobot
 from hostlink.core.hub.node import Role
 from hostlink.core.hub.queue import MAX_RESULTS
-from hostlink.core.hub.robot import AnyRobot
 from hostlink.core.hub.robots import Robots
 from hostlink.core.robot.state import MAX_PRIORITY
 from hostlink.core.robot.velocity import PlanarVelocity

@@ -35,8 +35,9 @@ from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.components import hosted, supervise
 from hostlink.core.config import Config
 from hostlink.core.host import Component, Host
+from hostlink.core.hub.any_robot import AnyRobot
 from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.robot import AnyRobot, LocalRobot
+from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkError, RefusalKind

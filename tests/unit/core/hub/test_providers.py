@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.core.hub.device import CommandEndpoint
+from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.providers import SETTLE_TIMEOUT_S, Provision
 from hostlink.core.hub.remote_robot import RemoteRobot
 from hostlink.core.robot.velocity import PlanarVelocity

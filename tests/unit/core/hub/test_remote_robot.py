@@ -5,7 +5,7 @@ import asyncio
 import msgspec
 import pytest
 
-from hostlink.core.hub import remote_robot as remote_robot_module
+from hostlink.core.hub import remote_robots as remote_robots_module
 from hostlink.core.hub.topic import DeviceSubscription
 from hostlink.core.robot.admission import LEASE_S
 from hostlink.core.robot.feedback import FeedbackKind
@@ -180,7 +180,7 @@ async def test_run_announces_robots_by_valid_names_that_no_other_component_has(
     for name in ("", "a/b", "x" * 65, "ä"):
         with pytest.raises(BadRequest, match="a name has 1 to 64 letters"):
             first.announce(known(name), host="lab")
-    monkeypatch.setattr(remote_robot_module, "MAX_REMOTE", 1)
+    monkeypatch.setattr(remote_robots_module, "MAX_REMOTE", 1)
     with pytest.raises(BadRequest, match="more than 1 robots are announced"):
         second.announce(known("robot_8"), host="cloud")
     first.withdraw("robot_7")

@@ -10,8 +10,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.core.config import CalibrationConfig, Config, RobotConfig
-from hostlink.core.hub.remote_robot import RemoteOdometry
-from hostlink.core.hub.robot import MAX_LOCK_REASON, correction_of, limits_of, of_namesake
+from hostlink.core.hub.any_robot import MAX_LOCK_REASON
+from hostlink.core.hub.remote_state import RemoteOdometry
+from hostlink.core.hub.robot_settings import correction_of, limits_of, of_namesake
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.kinematics import Pose
 from hostlink.core.robot.odometry import OdometrySnapshot
