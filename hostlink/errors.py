@@ -116,17 +116,6 @@ class BadPayload(HostlinkError):
         self.type_name, self.problem = type_name, problem
 
 
-class DifferentLayout(HostlinkError):
-    """A type whose fields in ROS 2 are not those of ROS 1, so that its messages cannot be translated."""
-
-    def __init__(self, type_name: str, changed: str) -> None:
-        inside = f", in which {changed}" if changed != type_name else ""
-        super().__init__(
-            f"{type_name}{inside} has other fields in ROS 2; put ROS 2's definition of {changed} into a message folder"
-        )
-        self.type_name, self.changed = type_name, changed
-
-
 class FrameTooLarge(HostlinkError):
     """A frame is larger than the device's buffer, or than its line allows while a stop may be needed."""
 

@@ -23,7 +23,7 @@ from hostlink.core.messages.fields import (
     Layout,
 )
 from hostlink.core.messages.message_type import MessageType
-from hostlink.errors import BadPayload, DifferentLayout
+from hostlink.errors import BadPayload, WrongType
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"  # CDR, little endian; the last two bytes are options
 _REPRESENTATION: Final = ENCAPSULATION[:2]
@@ -96,7 +96,7 @@ def cdr_of(message_type: MessageType) -> Cdr:
     """Return the translation of a type. It is compiled once.
 
     Raises:
-        DifferentLayout: ROS 2 has other fields in this type or in one that it contains.
+        WrongType: ROS 2 has other fields in this type or in one that it contains.
     """
     found = _cdrs.get(message_type)
     if found is None:
@@ -108,7 +108,7 @@ def cdr_of(message_type: MessageType) -> Cdr:
 def _check_fields(type_: MessageType, outer: str) -> None:
     is_inside = type_.name != outer
     if _CHANGED.get(type_.name) == type_.md5 or (is_inside and _APPENDED.get(type_.name, ("",))[0] == type_.md5):
-        raise DifferentLayout(outer, type_.name)
+        raise WrongType(outer, f"the fields that {type_.name} has in ROS 2", "those of ROS 1")
     for nested in type_.nested.values():
         _check_fields(nested, outer)
 

@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.cdr import ENCAPSULATION, Cdr, cdr_of
-from hostlink.errors import BadPayload, DifferentLayout
+from hostlink.errors import BadPayload, WrongType
 
 CATALOG = Catalog()
 
@@ -38,7 +38,7 @@ def test_header_loses_its_seq_and_its_frame_gains_a_nul() -> None:
 
 
 def test_type_that_ros2_has_changed_is_refused() -> None:
-    with pytest.raises(DifferentLayout, match=r"MarkerArray, in which visualization_msgs/Marker has other fields in"):
+    with pytest.raises(WrongType, match=r"MarkerArray: wanted the fields that visualization_msgs/Marker has in ROS 2"):
         cdr("visualization_msgs/MarkerArray")
 
 
