@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import structlog
 
 from hostlink.components.graphs.hub_source import HubSource
-from hostlink.components.graphs.ros2_names import COMMANDS, Qos, is_ros2_name, ros1_type
+from hostlink.components.graphs.ros2_qos import COMMANDS, Qos
 from hostlink.components.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types
 from hostlink.components.zenoh.rmw_protocol import (
     GID_BYTES,
@@ -40,6 +40,7 @@ from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.participant import Participant
 from hostlink.core.messages.message_type import ServiceType
+from hostlink.core.messages.ros2_names import is_ros2_name, ros1_type
 from hostlink.core.mirror.log_once import LogOnce
 from hostlink.core.mirror.mirror import Mirror
 from hostlink.core.robot.admission import EarlierMotion
