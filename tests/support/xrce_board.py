@@ -1,9 +1,9 @@
 """A virtual micro-ROS board: a stock client library and a program on it, and a link between it and a session.
 
-Written from the observed bytes of boards. It shares no code with hostlink/core/protocol/xrce. The program is a
-generator: `received = yield until_s` waits for one message. The client does what client 3.0.1 does: it reads one message
-a turn, postpones its HEARTBEAT with each message that arrives, and sends everything again that is not acknowledged when
-an ACKNACK has a bit.
+Written from the observed bytes of boards. It shares no code with hostlink/core/protocol/xrce. A program is a
+generator: `received = yield until_s` waits for one message. The client does what client 3.0.1 does: it reads one
+message a turn, postpones its HEARTBEAT with each message that arrives, and sends everything again that is not
+acknowledged when an ACKNACK has a bit.
 """
 
 import heapq
@@ -84,7 +84,7 @@ class Client:
         self.agent_status: int | None = None
         self.pong: int | None = None
         self.taken: list[tuple[float, int, int, bytes]] = []  # time, object, request, payload
-        self.on_data: Callable[[int, int, bytes], None] | None = None
+        self.on_data: Callable[[int, bytes], None] | None = None
         self._request = 9
         self.reset()
 
@@ -146,11 +146,11 @@ class Client:
         _, stream, number = struct.unpack_from("<BBH", message)
         body = message[head:]
         if stream == 0:
-            self._read_body(body, stream)
+            self._read_body(body)
         elif stream < 0x80:
             if ahead(self.last_best_effort, number) > 0:
                 self.last_best_effort = number
-                self._read_body(body, stream)
+                self._read_body(body)
         elif self.has_reliable_input:
             self._read_reliable(number, body)
             self._acknowledge()
@@ -168,7 +168,7 @@ class Client:
         while (first := (self.last_handled + 1) & 0xFFFF) in self.kept:
             if self.kept[first][0] != FRAGMENT:
                 self.last_handled = first
-                self._read_body(self.kept.pop(first), 0x80)
+                self._read_body(self.kept.pop(first))
                 continue
             numbers = [first]
             while self.kept[numbers[-1]][1] & 2 == 0:
@@ -176,7 +176,7 @@ class Client:
                 if numbers[-1] not in self.kept or self.kept[numbers[-1]][0] != FRAGMENT:
                     return
             self.last_handled = numbers[-1]
-            self._read_body(b"".join(self.kept.pop(each)[4:] for each in numbers), 0x80)
+            self._read_body(b"".join(self.kept.pop(each)[4:] for each in numbers))
 
     def _acknowledge(self) -> None:
         first = (self.last_handled + 1) & 0xFFFF
@@ -188,7 +188,7 @@ class Client:
                 missing |= 1 << place
         self.send(0, 0, sub(ACKNACK, struct.pack("<H", first) + struct.pack(">H", missing & 0xFFFF) + b"\x80"))
 
-    def _read_body(self, body: bytes, stream: int) -> None:
+    def _read_body(self, body: bytes) -> None:
         for kind, _, payload in submessages(body):
             if kind == STATUS_AGENT:
                 self.agent_status = payload[0]
@@ -198,7 +198,7 @@ class Client:
                 request, object_id = struct.unpack_from(">HH", payload)
                 self.taken.append((self.now_s, object_id, request, payload[4:]))
                 if self.on_data is not None:
-                    self.on_data(object_id, request, payload[4:])
+                    self.on_data(object_id, payload[4:])
             elif kind == HEARTBEAT and self.has_reliable_input and payload[4] == 0x80:
                 last = int.from_bytes(payload[2:4], "little")
                 if ahead(self.last_announced, last) > 0:
@@ -326,19 +326,34 @@ class Client:
         self, object_id: int, content: bytes, parent: int, *, form: int = BINARY, flags: int = 7, timeout_s: float = 1.0
     ) -> Program:
         """Create an object, and wait for its status."""
+        request, submessage = self.creating(object_id, content, parent, form, flags)
+        return (yield from self.status(submessage, request, timeout_s))
+
+    def creating(
+        self, object_id: int, content: bytes, parent: int, form: int = BINARY, flags: int = 7
+    ) -> tuple[int, bytes]:
+        """The id and the submessage of a request to create an object."""
         request = self.request()
         kind = object_id & 0xF
         payload = struct.pack(">HH", request, object_id) + bytes((kind, form, 0, 0))
         payload += struct.pack("<I", len(content)) + content
-        payload = padded(payload, 2) + struct.pack("<H", parent) if kind == PARTICIPANT else payload + parent.to_bytes(2)
-        return (yield from self.status(sub(CREATE, payload, flags), request, timeout_s))
+        payload = (
+            padded(payload, 2) + struct.pack("<H", parent) if kind == PARTICIPANT else payload + parent.to_bytes(2)
+        )
+        return request, sub(CREATE, payload, flags)
 
     def delete(self, object_id: int) -> Program:
         request = self.request()
         return (yield from self.status(sub(DELETE, struct.pack(">HH", request, object_id)), request))
 
     def read_data(
-        self, object_id: int, stream: int = 0x80, samples: int = 0xFFFF, seconds: int = 0, bytes_s: int = 0, pace_ms: int = 0
+        self,
+        object_id: int,
+        stream: int = 0x80,
+        samples: int = 0xFFFF,
+        seconds: int = 0,
+        bytes_s: int = 0,
+        pace_ms: int = 0,
     ) -> int:
         """Ask for the messages of a reader. Return the id of the request."""
         request = self.request()
@@ -392,19 +407,27 @@ class Stock:
 
     ODOMETRY, IMU, COMMAND = object_id(0, WRITER), object_id(1, WRITER), object_id(0, READER)
 
-    def take(self, object_: int, request: int, payload: bytes) -> None:
+    def take(self, object_: int, payload: bytes) -> None:
         if object_ == self.COMMAND:
             self.taken.append((self.client.now_s, TWIST.unpack(payload)[0]))
 
     def objects(self) -> list[tuple[int, bytes, int]]:
         """What it creates, with the parents."""
-        odometry, imu, twist = "nav_msgs::msg::dds_::Odometry_", "sensor_msgs::msg::dds_::Imu_", "geometry_msgs::msg::dds_::Twist_"
+        odometry, imu, twist = (
+            "nav_msgs::msg::dds_::Odometry_",
+            "sensor_msgs::msg::dds_::Imu_",
+            "geometry_msgs::msg::dds_::Twist_",
+        )
         node, reliable = object_id(0, PARTICIPANT), self.is_reliable
         return [
             (node, participant("linorobot_base_node"), 0),
             (object_id(0, TOPIC), topic("rt/odom/unfiltered", odometry), node),
             (object_id(0, PUBLISHER), b"\0\0", node),
-            (self.ODOMETRY, endpoint(object_id(0, TOPIC), is_reader=False, is_reliable=reliable), object_id(0, PUBLISHER)),
+            (
+                self.ODOMETRY,
+                endpoint(object_id(0, TOPIC), is_reader=False, is_reliable=reliable),
+                object_id(0, PUBLISHER),
+            ),
             (object_id(1, TOPIC), topic("rt/imu/data", imu), node),
             (object_id(1, PUBLISHER), b"\0\0", node),
             (self.IMU, endpoint(object_id(1, TOPIC), is_reader=False, is_reliable=reliable), object_id(1, PUBLISHER)),
@@ -525,6 +548,23 @@ class World:
                 return
 
     # -- the board ----------------------------------------------------------------------------------------------------
+
+    def do(self, program: Program, *, within_s: float = 30.0) -> Any:
+        """Let the board run a program to its end. Return its result. Then it listens."""
+        results: list[Any] = []
+
+        def run() -> Program:
+            results.append((yield from program))
+            while True:
+                yield from self.client.listen(1.0)
+
+        self._program = run()
+        self._step(None)
+        until_s = self.now_s + within_s
+        while not results and self.now_s < until_s:
+            self.run(min(self.now_s + 0.001, until_s))
+        (result,) = results
+        return result
 
     def _step(self, message: bytes | None) -> None:
         try:

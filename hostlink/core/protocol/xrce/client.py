@@ -125,6 +125,7 @@ class XrceClient:
 
     def reset_streams(self, now_s: float) -> None:
         """Begin all streams at their first number."""
+        self.is_resumed = False  # the streams began before the host did
         self.inputs: dict[int, ReliableInput] = {}
         self.lossy_inputs: dict[int, BestEffortInput] = {}
         self.output = ReliableOutput()
@@ -164,14 +165,14 @@ class XrceClient:
         """Return a reliable stream from the client; None if it has too many."""
         found = self.inputs.get(stream)
         if found is None and len(self.inputs) < STREAMS_MAX:
-            found = self.inputs[stream] = ReliableInput(stream, is_resumed=not self.is_confirmed)
+            found = self.inputs[stream] = ReliableInput(stream, is_resumed=self.is_resumed)
         return found
 
     def lossy_input(self, stream: int) -> BestEffortInput | None:
         """Return a best-effort stream from the client; None if it has too many."""
         found = self.lossy_inputs.get(stream)
         if found is None and len(self.lossy_inputs) < STREAMS_MAX:
-            found = self.lossy_inputs[stream] = BestEffortInput(is_resumed=not self.is_confirmed)
+            found = self.lossy_inputs[stream] = BestEffortInput(is_resumed=self.is_resumed)
         return found
 
     def acknowledge(self, told: Range, now_s: float) -> tuple[list[bytes], int]:

@@ -71,10 +71,12 @@ CLIENTS_MAX: Final = 4  # behind one address; the id of an endpoint has two bits
 MTU_MIN: Final = 32  # less has no room for an answer
 QUIET_S: Final = 0.1  # a board creates its objects one after another, each within a round trip
 RESTART_SILENCE_S: Final = 1.0  # another client with this session id is the same board after a restart
+GONE_S: Final = 3.0
 KEEPALIVE_S: Final = 1.0  # after this silence a HEARTBEAT asks whether the board is alive
 KEPT_BYTES: Final = 1024  # of bytes that are in no message
 LATE_CREATION_S: Final = 2.0  # a CREATE_CLIENT of the session before is a late datagram until then
-EVIDENCE: Final = 3  # messages that fit the state of a resumed client which acknowledges nothing
+ACKNOWLEDGING_S: Final = 0.5  # a resumed client with a reliable stream acknowledges something until then
+EVIDENCE: Final = 3  # messages that fit the state of one without
 RESUMED_NUMBERS_MAX: Final = 8192  # that may have passed since the state was stored
 FAR_NUMBERS: Final = 0x4000
 ZEROS_BYTES: Final = 64  # of a response whose layout is unknown
@@ -202,6 +204,9 @@ class XrceSession(DeviceSession):
             if now_s >= client.heartbeat_s:
                 self._put(client.due_heartbeat(now_s))
             elif now_s >= client.silent_at_s(KEEPALIVE_S):
+                if self._is_replaced(client, now_s):
+                    self._remove(client)
+                    continue
                 self._put(client.message(NO_STREAM, client.heartbeat(now_s)))
             if now_s >= client.ack_s:
                 client.ack_s = math.inf
@@ -713,6 +718,7 @@ class XrceSession(DeviceSession):
         if not known.is_confirmed:
             known.is_confirmed = True
             known.reset_streams(self._now_s)
+            self._announce_s = self._now_s + QUIET_S
         known.info = info
         known.is_reset_due = bool(known.inputs or known.lossy_inputs or known.output.next)
 
@@ -747,6 +753,14 @@ class XrceSession(DeviceSession):
         )
         self._clients[info.session, client.id_key] = client
         return True
+
+    def _is_replaced(self, client: XrceClient, now_s: float) -> bool:
+        """Whether a client is silent and has a later one beside it that may be the same board after a restart."""
+        if now_s - client.heard_s < GONE_S:
+            return False
+        return any(
+            each.session == client.session and each.created_s > client.created_s for each in self._clients.values()
+        )
 
     def _delete_client(self, client: XrceClient | None) -> None:
         if client is not None:
@@ -956,6 +970,8 @@ class XrceSession(DeviceSession):
                 self.quality.unread += len(waiting)
                 del client.samples[id_]
                 continue
+            if reading.stream >= RELIABLE and not client.output.has_room:
+                continue
             content = waiting.popleft()
             if not waiting:
                 del client.samples[id_]
@@ -1055,7 +1071,7 @@ class XrceSession(DeviceSession):
             if info.mtu < MTU_MIN or not self._add_client(info, None):
                 continue
             client = self._clients[info.session, _id_key(info)]
-            client.is_confirmed = False
+            client.is_confirmed, client.is_resumed = False, True
             client.output = ReliableOutput(first=number, is_known=False)
             for payload in objects:
                 new = decode_object(Submessage(Kind.CREATE, LITTLE, bytes(2) + payload))
@@ -1075,8 +1091,9 @@ class XrceSession(DeviceSession):
         except HostlinkError:
             self._discard(client)
             return
-        client.evidence += 1
-        if client.evidence >= EVIDENCE and client.output.is_known:
+        if self._now_s >= client.created_s + ACKNOWLEDGING_S:
+            client.evidence += 1
+        if client.evidence >= EVIDENCE:
             self._confirm(client, found)
 
     def _confirm(self, client: XrceClient, found: list[events.Event]) -> None:

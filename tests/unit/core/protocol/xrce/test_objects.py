@@ -143,7 +143,9 @@ def test_type_of_a_reference_is_that_of_an_object_with_its_name() -> None:
         ("rt/x", "a::b", ("/x", "unknown/a_b")),
     ],
 )
-def test_names_without_ros_stay_as_far_as_names_permit(dds_topic: str, dds_type: str, expected: tuple[str, str]) -> None:
+def test_names_without_ros_stay_as_far_as_names_permit(
+    dds_topic: str, dds_type: str, expected: tuple[str, str]
+) -> None:
     assert topic_names(dds_topic, dds_type) == expected
 
 

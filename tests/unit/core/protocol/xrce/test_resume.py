@@ -37,7 +37,11 @@ def test_text_that_is_no_state_is_none(text: str) -> None:
     assert read_state(text) is None
 
 
-@given(st.recursive(st.none() | st.integers() | st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)))
+VALUES = st.none() | st.integers(-1, 300) | st.text(max_size=4)
+LISTS = st.lists(VALUES, max_size=3) | st.dictionaries(st.text(max_size=4), VALUES, max_size=3)
+
+
+@given(VALUES | LISTS | st.lists(LISTS, max_size=3))
 def test_any_json_raises_nothing(value: object) -> None:
     read_state(json.dumps(value))
     read_state(json.dumps({"format": 1, "clients": value}))
