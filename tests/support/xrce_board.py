@@ -215,6 +215,8 @@ class Client:
                 self.pong = payload[5]
 
     def _read_acknack(self, first: int, missing: int) -> None:
+        if self.agent_status != 0:
+            return  # of the session before a restart; the streams begin when the client is created
         # A number that was never sent would move the client's history by thousands: the host must not acknowledge it.
         assert ahead(self.last_sent, first) <= 1, (self.last_sent, first)
         if ahead(self.last_acked, first) < 1:  # an older one: the client goes once round all numbers
@@ -399,7 +401,8 @@ class Stock:
     turn_s: float = 0.0  # what else the loop does
     is_reliable: bool = True
     pings: bool = True
-    restarts: bool = True  # has code to reconnect: a failed ping begins again
+    restarts: bool = False  # has code to reconnect
+    begun: int = 0x01020304
     published: list[Published] = field(default_factory=list)
     is_running: bool = False
     failed_at: str = ""
@@ -437,8 +440,20 @@ class Stock:
         ]
 
     def run(self) -> Program:
-        client = self.client
-        client.on_data = self.take
+        """The program from its start. With code to reconnect it begins again after each failure, with another key."""
+        self.client.on_data = self.take
+        while True:
+            yield from self.once()
+            self.is_running = False
+            if not self.restarts:
+                return
+            self.begun += 1
+            self.client.key = self.begun.to_bytes(4)
+            yield from self.pause(0.2)
+
+    def once(self) -> Program:
+        """Connect, create everything and work until the host has no session any more."""
+        client, failed = self.client, 0
         while self.pings and not (yield from client.ping()):
             yield from self.pause(0.1)
         if not (yield from client.connect()):
@@ -446,19 +461,21 @@ class Stock:
             return
         for id_, content, parent in self.objects():
             status = yield from client.create(id_, content, parent)
-            if status not in (0, 1):
+            if status not in {0, 1}:
                 self.failed_at = f"create {id_:04x}: {status}"
                 return
         self.is_running = True
         yield from client.synchronise()
         client.read_data(self.COMMAND)
         next_s = client.now_s
-        while True:
+        while failed < 2 or ((yield from client.ping(session=client.session)) and client.pong == 1):
+            failed = failed if failed < 2 else 0
             if client.now_s >= next_s:
                 next_s = max(next_s + self.period_s, client.now_s)
                 for writer, payload in ((self.ODOMETRY, self.odometry), (self.IMU, self.imu)):
                     if self.is_reliable:
                         self.published.append((yield from client.publish(writer, payload)))
+                        failed = 0 if self.published[-1].is_done else failed + 1
                     else:
                         client.publish_best_effort(writer, payload)
             yield from client.listen(0.0)  # spin: one message a turn

@@ -44,6 +44,7 @@ SILENCE_S: Final = 0.03
 SILENCE_MAX_S: Final = 0.15
 UNANSWERED_MAX: Final = 5  # HEARTBEATs: the client has no reliable stream from the host
 HEARTBEAT_S: Final = 0.05
+ASK_AGAIN_S: Final = 0.05
 HEARTBEAT_MAX_S: Final = 1.0
 
 
@@ -269,9 +270,13 @@ class XrceClient:
         return self.output.is_waiting and self.heartbeats < UNANSWERED_MAX
 
     def acknack(self, stream: ReliableInput, now_s: float, *, is_repair: bool = False) -> bytes:
-        """Return an ACKNACK of a stream, which fits."""
+        """Return an ACKNACK of a stream, which fits. What is known to be missing is asked for again."""
         self.told_s = now_s
-        return encode_acknack(stream.next, stream.missing() or int(is_repair), stream.stream)
+        missing = stream.missing()
+        self.ack_s = float("inf")
+        if missing and stream.note_asked(now_s):
+            self.ack_s = now_s + max(ASK_AGAIN_S, 2 * self.round_trip_s)
+        return encode_acknack(stream.next, missing or int(is_repair), stream.stream)
 
     def heartbeat(self, now_s: float) -> bytes:
         """Return a HEARTBEAT, which the client answers."""

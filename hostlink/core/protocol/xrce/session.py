@@ -609,6 +609,7 @@ class XrceSession(DeviceSession):
         A part of a message, and what came in the wrong order, waits for a moment: a client that reads two ACKNACKs in
         the wrong order forgets what it keeps, and sends everything again when something is missing.
         """
+        bodies += reliable.give_up(self._now_s)
         is_first_part = len(bodies) == 1 and bodies[0][:1] == FRAGMENT_BYTE and not bodies[0][1] & LAST_FRAGMENT
         is_early = not is_asked and bool(is_first_part or reliable.missing())
         if is_early:
@@ -672,7 +673,7 @@ class XrceSession(DeviceSession):
         elif kind == Kind.HEARTBEAT and (told := decode_heartbeat(submessage)) is not None:
             reliable = client.input(told.stream) if told.stream >= RELIABLE else None
             if reliable is not None:
-                bodies = reliable.heartbeat(told.first, told.second, self._now_s)
+                bodies = reliable.heartbeat(told.first, told.second)
                 self._read_bodies(client, reliable, bodies, found, is_asked=True)
         elif kind == Kind.READ_DATA and (wanted := decode_read(submessage)) is not None:
             self._take_read(client, stream, wanted, submessage.payload)
@@ -946,7 +947,6 @@ class XrceSession(DeviceSession):
             client = self._clients.get((session, key))
             reliable = None if client is None else client.inputs.get(stream)
             if client is not None and reliable is not None and reliable.fits:
-                client.ack_s = math.inf
                 message = client.message(NO_STREAM, client.acknack(reliable, now_s))
                 self.outbox.put_answer((session, key, stream), message, depth=1)
         self._acks.clear()

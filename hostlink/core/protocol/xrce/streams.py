@@ -13,8 +13,8 @@ from hostlink.core.protocol.xrce.wire import NUMBERS, RELIABLE, Range, distance,
 WINDOW: Final = 16  # messages that an ACKNACK's bitmap can name
 HISTORY: Final = 4  # messages that a client takes out of order: micro-ROS keeps four, other clients at least as many
 REPEATS: Final = 3
-ASKED_MAX: Final = 3
-GIVEN_UP_S: Final = 1.5  # a board that publishes waits for one second
+ASKED_MAX: Final = 6  # at a loss of 20 % each way, one answer in 460 is lost as often
+GIVEN_UP_S: Final = 0.25
 MESSAGE_BYTES_MAX: Final = 1024 * 1024  # one message from fragments; the limit of messages between programs
 HELD_BYTES_MAX: Final = 4 * 65536  # messages that wait for one before them: a client's history of the largest MTU
 
@@ -85,12 +85,12 @@ class ReliableInput:
     __slots__ = (
         "_announced",
         "_asked",
+        "_asked_for",
+        "_asked_since_s",
         "_far",
         "_far_at",
         "_held",
         "_held_bytes",
-        "_stuck_at",
-        "_stuck_since_s",
         "duplicates",
         "fragments",
         "is_known",
@@ -111,9 +111,9 @@ class ReliableInput:
         self._held_bytes = 0
         self._far = 0  # messages in a row that do not fit
         self._far_at = 0
-        self._stuck_at = -1  # the number that the client announces and does not send
-        self._stuck_since_s = 0.0
-        self._asked = 0  # HEARTBEATs since then
+        self._asked_for = -1  # the number that the client is asked for
+        self._asked_since_s = 0.0
+        self._asked = 0  # ACKNACKs since then
         if is_resumed:
             self.fragments.skip_message()
 
@@ -140,12 +140,8 @@ class ReliableInput:
         self.next = number_after(number)
         return found + self._in_order()
 
-    def heartbeat(self, first: int, last: int, now_s: float) -> list[bytes]:
-        """Note which messages the client keeps. Return the bodies that can be read now: what it lost is given up.
-
-        A client that reads an older ACKNACK after a newer one forgets what it keeps, and announces it all the same. It
-        would wait for ever.
-        """
+    def heartbeat(self, first: int, last: int) -> list[bytes]:
+        """Note which messages the client keeps. Return the bodies that can be read now: what it lost is given up."""
         if not self.is_known:
             self.next, self._announced, self.is_known = first, last, True
         ahead = distance(self.next, first)
@@ -155,19 +151,30 @@ class ReliableInput:
             self._far = 0
             if distance(self._announced, last) > 0:
                 self._announced = last
-            if distance(self.next, last) < 0:
-                return []
-            if self._stuck_at != self.next:
-                self._stuck_at, self._stuck_since_s, self._asked = self.next, now_s, 0
-            self._asked += 1
-            if self._asked > ASKED_MAX and now_s - self._stuck_since_s >= GIVEN_UP_S:
-                self.skipped += 1
-                self.next = number_after(self.next)
-                self.fragments.skip_message()
-                return self._in_order()
         elif self._is_moved(first, last):
             return self._in_order()
         return []
+
+    def note_asked(self, now_s: float) -> bool:
+        """Note that the client is asked for what is missing. Return whether it is to be asked again."""
+        if self._asked_for != self.next:
+            self._asked_for, self._asked_since_s, self._asked = self.next, now_s, 0
+        self._asked += 1
+        return self._asked <= ASKED_MAX
+
+    def give_up(self, now_s: float) -> list[bytes]:
+        """Give up a number for which the client was asked too often. Return the bodies that can be read then.
+
+        A client that reads an older ACKNACK after a newer one forgets what it keeps, and announces it all the same. It
+        would wait for ever.
+        """
+        is_asked = self._asked_for == self.next and self._asked >= ASKED_MAX
+        if not is_asked or not self.missing() or now_s - self._asked_since_s < GIVEN_UP_S:
+            return []
+        self.skipped += 1
+        self.next = number_after(self.next)
+        self.fragments.skip_message()
+        return self._in_order()
 
     def missing(self) -> int:
         """Return the bitmap of the numbers from `next` on that are known to be missing."""

@@ -61,10 +61,10 @@ def test_any_order_within_the_window_gives_the_messages_in_order(order: list[int
 
 def test_heartbeat_tells_what_is_missing_at_the_end() -> None:
     stream = ReliableInput(RELIABLE)
-    assert stream.heartbeat(0, 1, 0.0) == []
+    assert stream.heartbeat(0, 1) == []
     assert (stream.next, stream.missing()) == (0, 0b11)
     fed(stream, 0, 1)
-    assert stream.heartbeat(0, 1, 0.1) == []
+    assert stream.heartbeat(0, 1) == []
     assert stream.missing() == 0
 
 
@@ -89,7 +89,7 @@ def test_far_numbers_that_do_not_fit_each_other_confirm_nothing() -> None:
 def test_far_heartbeats_move_a_stream_and_release_what_is_held() -> None:
     stream = ReliableInput(RELIABLE)
     fed(stream, 0, 5, 6)
-    found = [stream.heartbeat(5, 6, 0.0) for _ in range(REPEATS)]
+    found = [stream.heartbeat(5, 6) for _ in range(REPEATS)]
     assert found == [[]] * (REPEATS - 1) + [[body(5), body(6)]]
     assert (stream.next, stream.fits) == (7, True)
 
@@ -97,18 +97,25 @@ def test_far_heartbeats_move_a_stream_and_release_what_is_held() -> None:
 def test_message_that_the_client_announces_and_never_sends_is_given_up() -> None:
     stream = ReliableInput(RELIABLE)
     fed(stream, 0, 2)
-    for number in range(ASKED_MAX):
-        assert stream.heartbeat(1, 2, number * 0.1) == []
-    assert stream.heartbeat(1, 2, GIVEN_UP_S - 0.1) == []
-    assert stream.heartbeat(1, 2, GIVEN_UP_S) == [body(2)]
+    assert [stream.note_asked(number * 0.01) for number in range(ASKED_MAX + 1)] == [True] * ASKED_MAX + [False]
+    assert stream.give_up(GIVEN_UP_S - 0.01) == []
+    assert stream.give_up(GIVEN_UP_S) == [body(2)]
+    assert stream.give_up(GIVEN_UP_S) == []
     assert (stream.next, stream.skipped) == (3, 1)
+
+
+def test_message_that_is_not_missing_is_not_given_up() -> None:
+    stream = ReliableInput(RELIABLE)
+    for _ in range(ASKED_MAX + 1):
+        stream.note_asked(0.0)
+    assert stream.give_up(GIVEN_UP_S) == []
 
 
 def test_resumed_stream_begins_with_the_first_number_that_comes() -> None:
     by_message, by_heartbeat = ReliableInput(RELIABLE, is_resumed=True), ReliableInput(RELIABLE, is_resumed=True)
     assert not by_message.fits
     assert fed(by_message, 700, 701) == [700, 701]
-    by_heartbeat.heartbeat(800, 801, 0.0)
+    by_heartbeat.heartbeat(800, 801)
     assert (by_heartbeat.next, by_heartbeat.missing(), by_heartbeat.fits) == (800, 0b11, True)
     assert by_message.fragments.add(b"rest of a message", is_last=True) is None
 
