@@ -228,7 +228,7 @@ class Link:
             return
         try:
             self._write_frames(now_s)
-            if self.session.outbox.has_waiting:
+            if self.session.outbox.has_waiting or not self.session.is_steady:  # something may be due earlier now
                 self._expect(now_s)
         except Exception as error:  # noqa: BLE001 - raised by `run`
             self._crash(error)
