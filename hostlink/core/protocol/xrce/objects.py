@@ -81,8 +81,8 @@ def decode_object(submessage: Submessage) -> XrceObject | None:
         parent = NO_OBJECT
         if kind in _PARENTS:
             parent = fields.id()
-        elif kind == ObjectKind.PARTICIPANT:
-            fields.u16()  # domain
+        else:
+            fields.u16()  # domain of a participant
         described = _describe(kind, representation, content)
     except Damaged:
         return None

@@ -1011,7 +1011,7 @@ class XrceSession(DeviceSession):
             if now_s >= zero.until_s:
                 del client.zeros[each]
             elif now_s >= zero.due_s:
-                zero.due_s = now_s + max(REPEAT_S, 1.5 * client.round_trip_s)
+                zero.due_s = now_s + REPEAT_S  # or later, when it is sent
                 self.outbox.put_urgent(each, zero.message)
 
     def _encode(self, message: bytes) -> bytes:
@@ -1036,6 +1036,8 @@ class XrceSession(DeviceSession):
             parts.append(client.acknack(client.inputs[RELIABLE], now_s, is_repair=True))
             room_bytes -= BESIDE_BYTES
         zeros = [each for each in client.zeros.values() if each.message == head + data]
+        for each in zeros:
+            each.due_s = now_s + max(REPEAT_S, 1.5 * client.round_trip_s)
         if (
             room_bytes >= BESIDE_BYTES
             and client.output.is_known

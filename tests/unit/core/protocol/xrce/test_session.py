@@ -13,6 +13,7 @@ from hostlink.core.messages.cdr import cdr_of
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.xrce.client import WAITING_MAX
 from hostlink.core.protocol.xrce.framing import DatagramFraming
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP, Xrce
 from hostlink.core.protocol.xrce.resume import ClientState, SessionState
@@ -303,6 +304,28 @@ def test_board_with_a_key_that_restarts_replaces_itself() -> None:
     assert list(here.session._clients) == [(1, b"also")]
 
 
+def test_call_that_waits_for_a_board_that_restarts_is_forgotten() -> None:
+    here = connected()
+    here.session.call("/led", REQUEST)
+    again = Client(key=b"new!")
+    here.restart_board(again, idle())
+    here.do(again.connect())
+    assert here.session._calls == {}
+
+
+def test_stream_of_a_client_that_is_deleted_at_once_is_not_acknowledged() -> None:
+    session, client = MICRO_ROS_TCP.session(CATALOG), Client(key=KEY)
+    framing = MICRO_ROS_TCP._framing()
+    session.receive(framing.encode(client.creation()), now_s=0.0)
+    client.put(sub(board.RESET, b""))
+    client.send(0, 0, sub(board.DELETE, bytes.fromhex("0002FFFE")))
+    session.receive(b"".join(map(framing.encode, client.sent)), now_s=0.0)
+    frames = []
+    while (outgoing := session.pop_frame(now_s=0.0, wall_ns=0)) is not None:
+        frames.append(outgoing.frame[6])
+    assert frames == [board.STATUS_AGENT, board.STATUS]
+
+
 # -- objects ----------------------------------------------------------------------------------------------------------
 
 
@@ -398,6 +421,39 @@ def test_endpoints_above_the_bound_are_refused() -> None:
     assert len(here.session.topics) == 1
     assert here.session.counts.excess_topics == 1
     assert here.session.excess_objects == 1
+
+
+def test_endpoints_of_all_clients_are_bounded_together() -> None:
+    here = world(session=made(max_topics=1))
+    for session, id_, name in ((0x81, REPLIER, "led"), (0x82, REQUESTER, "ask")):
+        here.client = Client(key=KEY, session=session)
+        here.client.now_s = here.now_s
+        here.do(here.client.connect())
+        assert here.do(here.client.create(0x01, board.participant("n"), 0)) == 0
+        assert here.do(here.client.create(id_, board.service(name, SET_BOOL), 1)) == 0
+    here.run(here.now_s + 2 * QUIET_S)
+    here.do(here.client.publish(REQUESTER, b"\1"))
+    assert of_kind(here, events.ServiceRequested) == []
+    assert here.session.counts.refused_frames == 1
+
+
+def test_service_of_an_unknown_type_is_passed_on_as_it_is() -> None:
+    here = world()
+    here.do(here.client.connect())
+    here.do(here.client.create(0x01, board.participant("n"), 0))
+    here.do(here.client.create(REQUESTER, board.service("ask", "my_package::srv::dds_::Ask"), 1))
+    here.do(here.client.publish(REQUESTER, b"any"))
+    (requested,) = of_kind(here, events.ServiceRequested)
+    assert requested.payload == b"any"  # type: ignore[attr-defined]
+    assert len(here.session.raw_endpoints) == 2
+
+
+def test_answers_that_wait_for_room_are_bounded() -> None:
+    here = connected()
+    client = here.session._clients[0x81, b""]
+    for _ in range(WAITING_MAX + 8):
+        here.session._answer(client, 0x80, b"status")
+    assert len(client.waiting) == WAITING_MAX
 
 
 def test_published_message_completes_the_announcement() -> None:
@@ -769,6 +825,23 @@ def test_zero_is_repeated_until_the_board_has_read_one() -> None:
     assert len(taken(here, READER)) == after
 
 
+def test_zero_is_not_repeated_before_it_is_due() -> None:
+    here = connected()
+    here.session.send_zero(here.session.endpoint_of("/cmd_vel", VELOCITY), ZERO)
+    here.write()
+    here.session.tick(now_s=here.now_s)
+    assert not here.session.outbox.has_waiting
+
+
+def test_answer_to_what_was_sent_before_a_velocity_does_not_show_that_it_was_read() -> None:
+    client = connected().session._clients[0x81, b""]
+    client.note_flying(7, 1.0)
+    client.note_answered(6)
+    assert client.flying_until_s > 1.0
+    client.note_answered(7)
+    assert client.flying_until_s == -math.inf
+
+
 def test_zero_is_not_repeated_for_ever_or_after_a_new_velocity() -> None:
     here = connected()
     velocity = here.session.endpoint_of("/cmd_vel", VELOCITY)
@@ -920,6 +993,7 @@ def test_topic_that_is_too_long_without_acknowledgement_is_named() -> None:
     here = connected()
     here.do(here.client.create(0x32, board.topic("rt/odom", "nav_msgs::msg::dds_::Odometry_"), 1))
     here.do(here.client.create(0x35, board.endpoint(0x32, is_reader=False, is_reliable=False), 3))
+    here.do(here.client.create(0x45, board.endpoint(0x02, is_reader=False, is_reliable=False), 3))
     assert here.session.too_small(CATALOG.least_bytes) == [
         "/odom: a message of at least 700 bytes, best effort takes 496"
     ]
@@ -1080,6 +1154,24 @@ def test_board_without_reliable_streams_goes_on_when_its_messages_fit() -> None:
         here.do(client.listen(0.5))
     assert len(of_kind(here, events.TopicsNegotiated)) == 1
     assert [text_of(event.payload + b"\0") for event in of_kind(here, events.MessageReceived)] == ["d"]
+
+
+def test_first_messages_of_a_resumed_board_are_no_evidence_while_it_may_acknowledge() -> None:
+    here = restarted(connected())
+    here.link.loss = 1.0
+    here.run(here.now_s + 0.6)
+    here.client.send(1, 0, sub(board.WRITE, struct.pack(">HH", 1, WRITER) + cdr("std_msgs/String", {"data": "a"})))
+    here.session.receive(here.client.sent.pop(), now_s=here.now_s)
+    assert here.session._clients[0x81, b""].evidence == 0
+
+
+def test_one_of_two_resumed_clients_goes_on_without_the_other() -> None:
+    here = connected()
+    (client,) = here.session.state().clients
+    other = client._replace(info=client.info._replace(session=0x82))
+    restarted(here, SessionState((client, other)))
+    here.run(here.now_s + 2.0)
+    assert len(here.session.topics) == 7
 
 
 def test_board_whose_messages_do_not_fit_the_state_is_forgotten() -> None:
