@@ -52,7 +52,7 @@ def submessages(body: bytes) -> Iterator[tuple[int, int, bytes]]:
 
 
 def ahead(first: int, second: int) -> int:
-    """How far the second number is after the first, as a signed 16-bit number."""
+    """Distance from the first number to the second, as a signed 16-bit number."""
     return ((second - first + 0x8000) & 0xFFFF) - 0x8000
 
 
@@ -100,7 +100,7 @@ class Client:
 
     @property
     def room_bytes(self) -> int:
-        """Of a message's body. The client announces four bytes less than its transport takes."""
+        """Longest body of a message. The client announces four bytes less than its transport takes."""
         return self.mtu - 4 - (8 if self.session < 0x80 else 4)
 
     def request(self) -> int:
@@ -219,7 +219,7 @@ class Client:
             return  # of the session before a restart; the streams begin when the client is created
         # A number that was never sent would move the client's history by thousands: the host must not acknowledge it.
         assert ahead(self.last_sent, first) <= 1, (self.last_sent, first)
-        if ahead(self.last_acked, first) < 1:  # an older one: the client goes once round all numbers
+        if ahead(self.last_acked, first) < 1:  # an older one: the client counts through all numbers
             self.old_acknacks += 1
             self.slots.clear()
             self.last_acked = (first - 1) & 0xFFFF
@@ -415,7 +415,7 @@ class Stock:
             self.taken.append((self.client.now_s, TWIST.unpack(payload)[0]))
 
     def objects(self) -> list[tuple[int, bytes, int]]:
-        """What it creates, with the parents."""
+        """Objects that it creates, with the parents."""
         odometry, imu, twist = (
             "nav_msgs::msg::dds_::Odometry_",
             "sensor_msgs::msg::dds_::Imu_",
@@ -452,7 +452,7 @@ class Stock:
             yield from self.pause(0.2)
 
     def once(self) -> Program:
-        """Connect, create everything and work until the host has no session any more."""
+        """Connect, create everything and work until the host has lost the session."""
         client, failed = self.client, 0
         while self.pings and not (yield from client.ping()):
             yield from self.pause(0.1)
@@ -503,7 +503,7 @@ class Link:
     last_s: dict[bool, float] = field(default_factory=dict)
 
     def arrivals(self, now_s: float, *, to_board: bool) -> list[float]:
-        """When a datagram that is sent now arrives: never, once or twice."""
+        """Times at which a datagram that is sent now arrives: none, one or two."""
         found: list[float] = []
         while not found or self.random.random() < self.doubles:
             at_s = now_s + self.random.uniform(*self.delay_s)

@@ -49,7 +49,7 @@ HEARTBEAT_MAX_S: Final = 1.0
 
 
 class Reading:
-    """What a client wants from a reader, replier or requester, and what it has had of it."""
+    """Request of a client for messages to a reader, replier or requester, and what it has had of them."""
 
     __slots__ = ("_bytes_s", "_due_s", "_left", "_pace_s", "_until_s", "request", "stream")
 
@@ -85,7 +85,7 @@ class Zero:
 
     def __init__(self, message: bytes, now_s: float) -> None:
         self.message = message
-        self.mark = 0  # of the first HEARTBEAT beside it
+        self.mark = 0  # of the first HEARTBEAT in the same message
         self.due_s, self.until_s = now_s + REPEAT_S, now_s + REPEAT_UNTIL_S
 
 
@@ -205,7 +205,7 @@ class XrceClient:
             self.provoked.popleft()
 
     def is_probe_due(self, now_s: float) -> bool:
-        """Whether a HEARTBEAT beside another message would measure the round trip."""
+        """Whether a HEARTBEAT in the same message would measure the round trip."""
         self._forget_lost(now_s)
         return not self.provoked and (self.is_slow or now_s - self.probed_s >= PROBE_S)
 
@@ -248,7 +248,7 @@ class XrceClient:
         return message[:2] + number.to_bytes(2, "little") + message[4:]
 
     def is_repair_due(self, now_s: float) -> bool:
-        """Whether an ACKNACK beside another message may repair a loss, and is no repetition.
+        """Whether an ACKNACK in the same message may repair a loss, and repeats no other.
 
         The client sends again what it has when it gets a bit of the bitmap. It postpones its own HEARTBEAT with each
         message that it gets, and waits for up to a second without this.

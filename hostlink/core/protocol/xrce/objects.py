@@ -11,7 +11,7 @@ from hostlink.core.protocol.xrce.wire import (
     REPLACE,
     REUSE,
     STRING_BYTES_MAX,
-    Damaged,
+    BadField,
     Fields,
     ObjectKind,
     Representation,
@@ -84,7 +84,7 @@ def decode_object(submessage: Submessage) -> XrceObject | None:
         else:
             fields.u16()  # domain of a participant
         described = _describe(kind, representation, content)
-    except Damaged:
+    except BadField:
         return None
     if described is None:
         return None

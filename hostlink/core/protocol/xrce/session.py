@@ -756,7 +756,7 @@ class XrceSession(DeviceSession):
         return True
 
     def _is_replaced(self, client: XrceClient, now_s: float) -> bool:
-        """Whether a client is silent and has a later one beside it that may be the same board after a restart."""
+        """Whether a client is silent, and a later one may be the same board after a restart."""
         if now_s - client.heard_s < GONE_S:
             return False
         return any(
@@ -857,7 +857,7 @@ class XrceSession(DeviceSession):
         found.append(events.ServiceRequested(endpoint, translated))
 
     def _take_response(self, endpoint: DeviceEndpoint, content: bytes, found: list[events.Event]) -> None:
-        """Take the response to a call. Those before it are not answered any more."""
+        """Take the response to a call. Those before it are no longer answered."""
         waiting = self._calls.get(endpoint.id, deque())
         number = int.from_bytes(content[SAMPLE_IDENTITY_BYTES - 4 : SAMPLE_IDENTITY_BYTES], "little")
         if content[:SAMPLE_IDENTITY_BYTES] != _identity(number) or number not in waiting:
@@ -1015,31 +1015,31 @@ class XrceSession(DeviceSession):
                 self.outbox.put_urgent(each, zero.message)
 
     def _encode(self, message: bytes) -> bytes:
-        """Return the bytes of a message that is sent now: with its number, and with what repairs losses beside it."""
+        """Return the bytes of a message that is sent now: with its number, and with what repairs losses."""
         stream, session = message[1], message[0]
         key = message[4:8] if session < KEYLESS else b""
         client = self._clients.get((session, key))
         if client is not None and stream < RELIABLE:
             start = client.header_bytes
             if message[start] == Kind.DATA:
-                message = self._beside(client, message[:start], message[start:])
+                message = self._accompanied(client, message[:start], message[start:])
             if stream != NO_STREAM:
                 message = client.stamped(message)
         return self._framing.encode(message)
 
-    def _beside(self, client: XrceClient, head: bytes, data: bytes) -> bytes:
-        """Return a message with an ACKNACK and a HEARTBEAT beside its data, if they are due and there is room."""
+    def _accompanied(self, client: XrceClient, head: bytes, data: bytes) -> bytes:
+        """Return a message with an ACKNACK and a HEARTBEAT before its data, if they are due and there is room."""
         now_s = self._now_s
         room_bytes = client.mtu - len(head) - len(data)
         parts: list[bytes] = []
-        if room_bytes >= BESIDE_BYTES and client.is_repair_due(now_s):
+        if room_bytes >= EXTRA_BYTES and client.is_repair_due(now_s):
             parts.append(client.acknack(client.inputs[RELIABLE], now_s, is_repair=True))
-            room_bytes -= BESIDE_BYTES
+            room_bytes -= EXTRA_BYTES
         zeros = [each for each in client.zeros.values() if each.message == head + data]
         for each in zeros:
             each.due_s = now_s + max(REPEAT_S, 1.5 * client.round_trip_s)
         if (
-            room_bytes >= BESIDE_BYTES
+            room_bytes >= EXTRA_BYTES
             and client.output.is_known
             and (zeros or client.is_slow or client.is_probe_due(now_s))
         ):
@@ -1112,7 +1112,7 @@ class XrceSession(DeviceSession):
 # -- ids --------------------------------------------------------------------------------------------------------------
 
 SLOT_SHIFT: Final = 14
-BESIDE_BYTES: Final = 12  # an ACKNACK or a HEARTBEAT with its padding
+EXTRA_BYTES: Final = 12  # an ACKNACK or a HEARTBEAT with its padding
 _KIND_BITS: Final = 2
 
 

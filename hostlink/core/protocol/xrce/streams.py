@@ -58,7 +58,7 @@ class FragmentBuffer:
 
 
 class BestEffortInput:
-    """What a client sends without acknowledgements. What is late is dropped."""
+    """Stream of messages from a client without acknowledgements. A late one is dropped."""
 
     __slots__ = ("_last",)
 
@@ -77,7 +77,7 @@ class BestEffortInput:
 
 
 class ReliableInput:
-    """What a client sends until it is acknowledged. Delivers in order.
+    """Stream of messages that a client repeats until they are acknowledged. They are delivered in order.
 
     `next` is the number that is expected. After a restart of the host it is unknown until the client tells it.
     """
@@ -190,7 +190,7 @@ class ReliableInput:
         return self.is_known and not self._far
 
     def _is_moved(self, first: int, last: int) -> bool:
-        """Note a number that does not fit. Return whether the stream goes on there from now on."""
+        """Note a number that does not fit. Return whether the stream continues there from now on."""
         is_near = abs(distance(self._far_at, last)) <= WINDOW
         self._far = self._far + 1 if is_near and self._far else 1
         self._far_at = last
@@ -224,14 +224,14 @@ class _Sent:
 
 
 class Acknowledged(NamedTuple):
-    """What an ACKNACK says: bodies to send again, by their numbers, and the time that the newest took."""
+    """Result of an ACKNACK: bodies to send again, by their numbers, and the time that the newest took."""
 
     again: list[tuple[int, bytes]]
     round_trip_s: float | None
 
 
 class ReliableOutput:
-    """What the host sends until the client acknowledges it. At most `window` messages wait for that."""
+    """Stream of messages that the host repeats until the client acknowledges them. At most `window` wait for that."""
 
     __slots__ = ("_odd", "_odd_at", "_unacked", "first", "is_known", "next", "resent", "stream", "window")
 
@@ -288,7 +288,7 @@ class ReliableOutput:
         return sent.body
 
     def _is_moved(self, first: int) -> bool:
-        """Note a number that does not fit. Return whether the stream goes on there from now on."""
+        """Note a number that does not fit. Return whether the stream continues there from now on."""
         self._odd = self._odd + 1 if first == self._odd_at else 1
         self._odd_at = first
         if self.is_known and self._odd < REPEATS:

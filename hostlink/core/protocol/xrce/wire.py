@@ -174,7 +174,7 @@ def header_bytes(session: int) -> int:
 # -- fields -----------------------------------------------------------------------------------------------------------
 
 
-class Damaged(Exception):
+class BadField(Exception):
     """A field is not whole, or has an impossible value. Raised and caught within this package."""
 
 
@@ -191,7 +191,7 @@ class Fields:
         """Return the next bytes."""
         end = self._at + count
         if count < 0 or end > len(self._data):
-            raise Damaged
+            raise BadField
         taken = self._data[self._at : end]
         self._at = end
         return taken
@@ -224,7 +224,7 @@ class Fields:
         """Return a sequence of bytes."""
         length = self.u32()
         if length > most_bytes:
-            raise Damaged
+            raise BadField
         return self.take(length)
 
     def _integer(self, size: int) -> int:
@@ -323,7 +323,7 @@ def decode_client(submessage: Submessage) -> ClientInfo | None:
                 return None
             properties += [(fields.string(), fields.string()) for _ in range(count)]
         return ClientInfo(version, vendor, key, session, tuple(properties), fields.u16())
-    except Damaged:
+    except BadField:
         return None
 
 
@@ -345,7 +345,7 @@ def decode_read(submessage: Submessage) -> ReadRequest | None:
         samples, seconds, bytes_s, pace_ms = 1, 0, 0, 0
         if fields.flag():
             samples, seconds, bytes_s, pace_ms = fields.u16(), fields.u16(), fields.u16(), fields.u16()
-    except Damaged:
+    except BadField:
         return None
     return ReadRequest(request, object_id, stream, data_format, samples, seconds, bytes_s, pace_ms)
 
@@ -355,7 +355,7 @@ def decode_acknack(submessage: Submessage) -> Range | None:
     fields = fields_of(submessage)
     try:
         return Range(fields.u16(), fields.id(), fields.u8())
-    except Damaged:
+    except BadField:
         return None
 
 
@@ -364,16 +364,16 @@ def decode_heartbeat(submessage: Submessage) -> Range | None:
     fields = fields_of(submessage)
     try:
         return Range(fields.u16(), fields.u16(), fields.u8())
-    except Damaged:
+    except BadField:
         return None
 
 
 def decode_timestamp(submessage: Submessage) -> bytes | None:
-    """Decode a TIMESTAMP: the client's time as it stands, little endian; None when it is damaged."""
+    """Decode a TIMESTAMP: the client's time unchanged, little endian; None when it is damaged."""
     fields = fields_of(submessage)
     try:
         return Builder().u32(fields.u32()).u32(fields.u32()).data
-    except Damaged:
+    except BadField:
         return None
 
 
@@ -466,7 +466,7 @@ def is_create_client(data: bytes) -> bool:
 
 
 def answer_ping(data: bytes) -> bytes | None:
-    """Return the answer to a ping without a session; None if the message is none."""
+    """Return the answer to a ping without a session; None if the message has no ping."""
     message = decode_message(data)
     if message is None or message.stream != NO_STREAM:
         return None

@@ -120,7 +120,7 @@ def test_frame_without_an_end_is_skipped_when_the_next_one_begins() -> None:
 
 
 @pytest.mark.parametrize("piece", [b"\x7d", b"\x7d\x7d", b"\x7d\x7d\x5d"])
-def test_escape_at_the_end_of_a_read_goes_on_with_the_next(piece: bytes) -> None:
+def test_escape_at_the_end_of_a_read_belongs_to_the_next(piece: bytes) -> None:
     framing = SerialFraming()
     framing.feed(b"\x7e\0\1")
     framing.feed(piece)

@@ -134,7 +134,7 @@ def usable(drive: Drive, within_s: float) -> None:
 
 
 def resumed(session: XrceSession) -> XrceSession:
-    """A session that goes on from what the earlier one had stored."""
+    """A session that continues from what the earlier one had stored."""
     return MICRO_ROS_UDP.resumed(CATALOG, read_state(session.state().to_json()))
 
 

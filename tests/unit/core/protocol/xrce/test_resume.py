@@ -33,7 +33,7 @@ def changed(**values: object) -> str:
     ],
     ids=range(20),
 )  # fmt: skip
-def test_text_that_is_no_state_is_none(text: str) -> None:
+def test_text_without_a_state_is_refused(text: str) -> None:
     assert read_state(text) is None
 
 

@@ -683,13 +683,13 @@ def test_service_of_the_board_is_called_with_the_request_that_it_asked_for() -> 
     assert here.session.service_endpoint("/led", REQUEST).kind is EndpointKind.SERVICE_SERVER_SUBSCRIBER
 
 
-def test_response_that_comes_twice_or_to_no_call_is_dropped() -> None:
+def test_response_that_arrives_twice_or_without_a_call_is_dropped() -> None:
     here = connected()
     for _ in range(2):
         here.session.call("/led", REQUEST)
     here.write()
     here.run(here.now_s + 0.5)
-    answered(here.client, 1)  # the second: the first is not answered any more
+    answered(here.client, 1)  # the second: the first is no longer answered
     answered(here.client, 2)
     here.do(here.client.confirm(1.0))
     assert len(of_kind(here, events.ServiceResponded)) == 1
@@ -796,7 +796,7 @@ def test_zero_frame_of_a_service_calls_it() -> None:
     assert len(taken(here, REPLIER)) == 2
 
 
-def test_nothing_is_sent_to_an_endpoint_of_no_client() -> None:
+def test_endpoint_without_a_client_is_sent_nothing() -> None:
     here = connected()
     gone = DeviceEndpoint(EndpointKind.SUBSCRIBER, endpoint_id(3, READER), "/cmd_vel", "geometry_msgs/Twist")
     assert here.session.zero_frame(gone, ZERO) == b""
@@ -949,7 +949,7 @@ def test_damaged_submessage_is_counted(submessage: bytes) -> None:
     assert here.session.counts.malformed == 1
 
 
-def test_bytes_that_are_no_message_are_skipped_and_kept() -> None:
+def test_bytes_outside_messages_are_skipped_and_kept() -> None:
     session = made()
     session.receive(b"\x81", now_s=0.0)
     assert (session.counts.skipped_bytes, session.foreign) == (1, b"\x81")
@@ -1051,7 +1051,7 @@ def restarted(here: World, state: SessionState | None = None) -> World:
     return here
 
 
-def test_board_goes_on_with_a_restarted_host() -> None:
+def test_board_continues_with_a_restarted_host() -> None:
     here = restarted(connected())
     here.run(here.now_s + 2.0)
     (negotiated,) = of_kind(here, events.TopicsNegotiated)
@@ -1067,7 +1067,7 @@ def test_board_goes_on_with_a_restarted_host() -> None:
     assert len(taken(here, 0x16)) == 1
 
 
-def test_board_that_publishes_during_the_restart_goes_on() -> None:
+def test_board_that_publishes_during_the_restart_continues() -> None:
     here = restarted(connected())
 
     def publish() -> Program:
@@ -1134,7 +1134,7 @@ def test_resumed_client_that_creates_itself_again_is_the_same() -> None:
     assert len(here.session.topics) == 7
 
 
-def test_board_without_reliable_streams_goes_on_when_its_messages_fit() -> None:
+def test_board_without_reliable_streams_continues_when_its_messages_fit() -> None:
     client = Client(key=KEY, has_reliable_input=False)
     here = world(client)
     here.do(client.connect())
@@ -1156,7 +1156,7 @@ def test_board_without_reliable_streams_goes_on_when_its_messages_fit() -> None:
     assert [text_of(event.payload + b"\0") for event in of_kind(here, events.MessageReceived)] == ["d"]
 
 
-def test_first_messages_of_a_resumed_board_are_no_evidence_while_it_may_acknowledge() -> None:
+def test_first_messages_of_a_resumed_board_do_not_count_while_it_may_acknowledge() -> None:
     here = restarted(connected())
     here.link.loss = 1.0
     here.run(here.now_s + 0.6)
@@ -1165,7 +1165,7 @@ def test_first_messages_of_a_resumed_board_are_no_evidence_while_it_may_acknowle
     assert here.session._clients[0x81, b""].evidence == 0
 
 
-def test_one_of_two_resumed_clients_goes_on_without_the_other() -> None:
+def test_one_of_two_resumed_clients_continues_without_the_other() -> None:
     here = connected()
     (client,) = here.session.state().clients
     other = client._replace(info=client.info._replace(session=0x82))
@@ -1183,7 +1183,7 @@ def test_board_whose_messages_do_not_fit_the_state_is_forgotten() -> None:
     assert here.session._clients == {}
 
 
-def test_state_with_damaged_parts_is_restored_as_far_as_it_goes() -> None:
+def test_state_with_damaged_parts_is_restored_without_them() -> None:
     here = connected()
     (client,) = here.session.state().clients
     damaged = ClientState(client.info, client.number, (b"", *client.objects), (b"", *client.reads))

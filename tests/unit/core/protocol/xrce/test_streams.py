@@ -111,7 +111,7 @@ def test_message_that_is_not_missing_is_not_given_up() -> None:
     assert stream.give_up(GIVEN_UP_S) == []
 
 
-def test_resumed_stream_begins_with_the_first_number_that_comes() -> None:
+def test_resumed_stream_begins_with_the_first_number_that_arrives() -> None:
     by_message, by_heartbeat = ReliableInput(RELIABLE, is_resumed=True), ReliableInput(RELIABLE, is_resumed=True)
     assert not by_message.fits
     assert fed(by_message, 700, 701) == [700, 701]

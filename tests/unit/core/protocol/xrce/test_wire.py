@@ -55,7 +55,7 @@ def test_ping_of_a_client_with_a_key_is_answered_with_the_key() -> None:
     [b"", PING[:7], bytes.fromhex("81800000") + PING[4:], CREATE_CLIENT, PING[:4] + bytes.fromhex("02010100 00")],
     ids=["empty", "cut", "on a stream", "no ping", "without a request"],
 )
-def test_bytes_that_are_no_ping_get_no_answer(data: bytes) -> None:
+def test_bytes_without_a_ping_get_no_answer(data: bytes) -> None:
     assert wire.answer_ping(data) is None
 
 
@@ -189,9 +189,9 @@ def test_damaged_fields_are_none() -> None:
         wire.decode_timestamp,
     )  # fmt: skip
     assert [decode(empty) for decode in decoders] == [None] * len(decoders)
-    with pytest.raises(wire.Damaged):
+    with pytest.raises(wire.BadField):
         wire.Fields(b"\xff\xff\xff\xff").string()
-    with pytest.raises(wire.Damaged):
+    with pytest.raises(wire.BadField):
         wire.Fields(b"abc").take(-1)
 
 
