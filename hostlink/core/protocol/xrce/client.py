@@ -34,6 +34,7 @@ ROUND_TRIP_MAX_S: Final = 0.5
 SMOOTHING: Final = 0.2
 SLOW_S: Final = 0.06  # a board that answers later reads commands of 20 Hz later and later
 PROVOKED_MAX: Final = 32
+AGAIN_MAX_S: Final = 0.25  # before a message is sent again
 ANSWER_S: Final = 1.0  # what is not answered until then was lost
 PROBE_S: Final = 0.25
 REPEAT_S: Final = 0.05  # between two zeros
@@ -182,9 +183,11 @@ class XrceClient:
         self.has_answered = True
         self.heartbeats = 0
         answered = self._answered(now_s)
-        result = self.output.acknowledge(told, now_s, older_than_s=min(self.round_trip_s, 0.25))
+        again = self.output.acknowledge(told, now_s, older_than_s=min(self.round_trip_s, AGAIN_MAX_S))
+        self.waiting.extendleft(reversed(self.output.passed))
+        self.output.passed = []
         self.plan_heartbeat(now_s)
-        return [self.message(RELIABLE, body, number) for number, body in result.again], answered
+        return [self.message(RELIABLE, body, number) for number, body in again], answered
 
     def _answered(self, now_s: float) -> int:
         """Take what an ACKNACK answers: the oldest that is not too old. Return its mark; 0 if there is none.
@@ -299,12 +302,23 @@ class XrceClient:
         Where its expected number is unknown, it is an earlier one, which the client drops and answers.
         """
         self.heartbeats += 1
+        if self.heartbeats > UNANSWERED_MAX:
+            self.output.end_trial(is_kept=False)
         self.plan_heartbeat(now_s)
+        if self.output.trial() is not None:
+            return self.tried(now_s)
         if self.output.is_known:
             return self.message(NO_STREAM, self.heartbeat(now_s))
         self.note_provoked(now_s)
         empty = encode_heartbeat(0, 0, BEST_EFFORT)  # about a stream that has none: the client ignores it
         return self.message(RELIABLE, empty, (self.output.first - 1) % NUMBERS)
+
+    def tried(self, now_s: float) -> bytes:
+        """Return the message that tries whether the client keeps a long one."""
+        trial = self.output.trial()
+        number, body = (0, b"") if trial is None else trial
+        self.note_provoked(now_s)
+        return self.message(RELIABLE, body, number)
 
     def bodies(self, submessage: bytes) -> list[bytes]:
         """Return the bodies of the messages that have a submessage: one, or its fragments."""
@@ -321,7 +335,7 @@ class XrceClient:
         reading = self.readings.get(object_id)
         room_bytes = self.mtu - self.header_bytes
         if reading is None or reading.stream >= RELIABLE:
-            room_bytes = self.output.window * (room_bytes - SUBHEADER_BYTES)
+            room_bytes = self.output.limit * (room_bytes - SUBHEADER_BYTES)
         return min(room_bytes - SUBHEADER_BYTES, NUMBERS - 1)
 
     def note_flying(self, mark: int, now_s: float) -> None:

@@ -336,6 +336,11 @@ class XrceSession(DeviceSession):
         return sum(each.output.resent for each in self._clients.values())
 
     @property
+    def too_long_messages(self) -> int:
+        """Number of messages that were dropped because the device's history does not hold all of their fragments."""
+        return sum(each.output.refused for each in self._clients.values())
+
+    @property
     def excess_objects(self) -> int:
         """Number of objects that were refused because the device has too many."""
         return sum(each.objects.refused for each in self._clients.values())
@@ -970,15 +975,23 @@ class XrceSession(DeviceSession):
                 self.quality.unread += len(waiting)
                 del client.samples[id_]
                 continue
-            if reading.stream >= RELIABLE and not client.output.has_room:
+            output = client.output
+            if reading.stream >= RELIABLE and not output.has_room:
+                continue
+            data = encode_data(reading.request, id_, waiting[0])
+            bodies = client.bodies(data) if reading.stream >= RELIABLE else []
+            if len(bodies) > output.window and output.is_waiting:
                 continue
             content = waiting.popleft()
             if not waiting:
                 del client.samples[id_]
             reading.note_sent(len(content), now_s)
-            data = encode_data(reading.request, id_, content)
-            if reading.stream >= RELIABLE:
-                client.waiting += client.bodies(data)
+            if len(bodies) > output.window:
+                output.begin_trial(bodies)
+                self._put(client.tried(now_s))
+                client.plan_heartbeat(now_s)
+            elif bodies:
+                client.waiting += bodies
             else:
                 message = client.message(reading.stream, data)
                 self.outbox.put_command(endpoint_id(client.slot, id_), message, depth=WAITING_MAX)

@@ -6,7 +6,7 @@ because a client that gets a wrong acknowledgement loses its own numbers.
 """
 
 from collections import deque
-from typing import Final, NamedTuple
+from typing import Final
 
 from hostlink.core.protocol.xrce.wire import NUMBERS, RELIABLE, Range, distance, number_after
 
@@ -223,21 +223,32 @@ class _Sent:
         self.body, self.at_s, self.is_repeated = body, at_s, False
 
 
-class Acknowledged(NamedTuple):
-    """Result of an ACKNACK: bodies to send again, by their numbers, and the time that the newest took."""
-
-    again: list[tuple[int, bytes]]
-    round_trip_s: float | None
-
-
 class ReliableOutput:
     """Stream of messages that the host repeats until the client acknowledges them. At most `window` wait for that."""
 
-    __slots__ = ("_odd", "_odd_at", "_unacked", "first", "is_known", "next", "resent", "stream", "window")
+    __slots__ = (
+        "_odd",
+        "_odd_at",
+        "_tried",
+        "_unacked",
+        "first",
+        "is_known",
+        "limit",
+        "next",
+        "passed",
+        "refused",
+        "resent",
+        "stream",
+        "window",
+    )
 
     def __init__(self, stream: int = RELIABLE, *, first: int = 0, is_known: bool = True) -> None:
         """`is_known`: the client expects `first`. Otherwise it is an earlier number, and the client will tell."""
         self.stream, self.window = stream, HISTORY
+        self.limit = WINDOW  # fragments of a message that the client may keep
+        self.passed: list[bytes] = []  # fragments that it keeps as a whole
+        self.refused = 0  # messages that it cannot keep
+        self._tried: list[bytes] = []
         self.first = self.next = first
         self.is_known = is_known
         self.resent = 0
@@ -248,12 +259,12 @@ class ReliableOutput:
     @property
     def has_room(self) -> bool:
         """Whether one more message may be sent."""
-        return self.is_known and len(self._unacked) < self.window
+        return self.is_known and not self._tried and len(self._unacked) < self.window
 
     @property
     def is_waiting(self) -> bool:
         """Whether the client has not acknowledged everything, or its number is unknown."""
-        return bool(self._unacked) or not self.is_known
+        return bool(self._unacked or self._tried) or not self.is_known
 
     def put(self, body: bytes, now_s: float) -> int:
         """Add a message and return its number. Call it only if there is room."""
@@ -262,25 +273,47 @@ class ReliableOutput:
         self.next = number_after(number)
         return number
 
-    def acknowledge(self, told: Range, now_s: float, *, older_than_s: float) -> Acknowledged:
-        """Note an ACKNACK. A message is sent again if its last sending is older than `older_than_s`."""
+    def acknowledge(self, told: Range, now_s: float, *, older_than_s: float) -> list[tuple[int, bytes]]:
+        """Note an ACKNACK. Return what to send again, by its number: what was last sent before `older_than_s`."""
         acked = distance(self.first, told.first)
-        round_trip_s: float | None = None
         if not self.is_known or not 0 <= acked <= len(self._unacked):
             if not self._is_moved(told.first):
-                return Acknowledged([], None)
+                return []
+            self.end_trial(is_kept=False)
             again = [(number_after(self.first, place), sent) for place, sent in enumerate(self._unacked)]
-            return Acknowledged([(number, self._repeat(sent, now_s)) for number, sent in again], None)
+            return [(number, self._repeat(sent, now_s)) for number, sent in again]
         self._odd = 0
         for _ in range(acked):
-            sent = self._unacked.popleft()
-            round_trip_s = None if sent.is_repeated else now_s - sent.at_s
+            self._unacked.popleft()
         self.first = told.first
+        if self._tried and told.second:
+            self.end_trial(is_kept=told.second == (1 << len(self._tried) - 1) - 1)
         missing = [place for place in range(len(self._unacked)) if told.second >> place & 1]
         due = [(place, self._unacked[place]) for place in missing if self._unacked[place].at_s <= now_s - older_than_s]
-        return Acknowledged(
-            [(number_after(self.first, place), self._repeat(sent, now_s)) for place, sent in due], round_trip_s
-        )
+        return [(number_after(self.first, place), self._repeat(sent, now_s)) for place, sent in due]
+
+    # -- messages that may be longer than the client's history ---------------------------------------------------------
+
+    def begin_trial(self, bodies: list[bytes]) -> None:
+        """Try whether the client keeps as many messages as this one has fragments. Call it when nothing is waited for.
+
+        A client whose history is shorter would never take the message, and no other one after it. So the last fragment
+        is sent first: the ACKNACK says whether the client keeps it. If not, its number is free for another message.
+        """
+        self._tried = bodies
+
+    def trial(self) -> tuple[int, bytes] | None:
+        """Return the number and the body of the fragment that is tried; None if there is none."""
+        return (number_after(self.next, len(self._tried) - 1), self._tried[-1]) if self._tried else None
+
+    def end_trial(self, *, is_kept: bool) -> None:
+        """End a trial. The fragments are `passed` if the client keeps the last one, and its limit is known if not."""
+        if is_kept:
+            self.passed, self.window = self._tried, len(self._tried)
+        elif self._tried:
+            self.limit = min(self.limit, len(self._tried) - 1)
+            self.refused += 1
+        self._tried = []
 
     def _repeat(self, sent: _Sent, now_s: float) -> bytes:
         sent.at_s, sent.is_repeated = now_s, True

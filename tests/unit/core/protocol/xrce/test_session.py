@@ -489,9 +489,51 @@ def test_long_message_arrives_in_fragments_both_ways() -> None:
     here.do(here.client.listen(0.1))
     here.run(here.now_s + 0.1)
     assert [text_of(each) for each in taken(here, 0x16)] == ["y" * 1500]
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_long_message_is_taken_by_a_board_whose_history_holds_it(loss: float) -> None:
+    here = connected(Client(key=KEY, history=8))
+    here.link.loss = loss
+    here.session.publish("/words", struct.pack("<I", 3500) + b"y" * 3500)
+    here.write()
+    here.run(here.now_s + 5.0)
+    assert [text_of(each) for each in taken(here, 0x16)] == ["y" * 3500]
+    assert here.session.too_long_messages == 0
+    here.session.publish("/words", struct.pack("<I", 1) + b"z")
+    here.run(here.now_s + 2.0)
+    assert text_of(taken(here, 0x16)[-1]) == "z"
+
+
+def test_message_that_is_longer_than_the_history_of_the_board_is_dropped_and_the_next_one_arrives() -> None:
+    here = connected()
+    here.session.publish("/words", struct.pack("<I", 2500) + b"y" * 2500)
+    here.session.publish("/words", struct.pack("<I", 1) + b"z")
+    here.write()
+    here.run(here.now_s + 2.0)
+    assert [text_of(each) for each in taken(here, 0x16)] == ["z"]
+    assert here.session.too_long_messages == 1
     with pytest.raises(FrameTooLarge):
-        here.session.publish("/words", struct.pack("<I", 2500) + b"y" * 2500)
+        here.session.publish("/words", struct.pack("<I", 2600) + b"y" * 2600)
     assert "/words" in here.session.too_large
+
+
+def test_message_that_the_board_never_answers_is_given_up() -> None:
+    here = connected()
+    here.link.loss = 1.0
+    here.session.publish("/words", struct.pack("<I", 2500) + b"y" * 2500)
+    here.run(here.now_s + 10.0)
+    assert here.session.too_long_messages == 1
+    assert here.session.deadline_s() > here.now_s
+
+
+def test_long_message_waits_until_nothing_is_to_be_acknowledged() -> None:
+    here = connected(Client(key=KEY, history=8))
+    here.session.publish("/words", struct.pack("<I", 1) + b"a", depth=2)
+    here.session.publish("/words", struct.pack("<I", 3500) + b"y" * 3500, depth=2)
+    here.write()
+    here.run(here.now_s + 2.0)
+    assert [len(text_of(each)) for each in taken(here, 0x16)] == [1, 3500]
 
 
 @pytest.mark.parametrize("stream", [0, 1, 0x80])

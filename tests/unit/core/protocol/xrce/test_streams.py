@@ -164,7 +164,7 @@ def test_messages_wait_for_room_in_the_history_of_the_client() -> None:
     while stream.has_room:
         numbers.append(stream.put(b"x", 1.0))
     assert numbers == list(range(HISTORY))
-    assert stream.acknowledge(ack(1), 1.5, older_than_s=0.1) == ([], 0.5)
+    assert stream.acknowledge(ack(1), 1.5, older_than_s=0.1) == []
     assert stream.has_room
     assert stream.is_waiting
 
@@ -173,12 +173,41 @@ def test_missing_message_is_sent_again_when_its_last_sending_is_older_than_a_rou
     stream = ReliableOutput()
     for each in (b"a", b"b", b"c"):
         stream.put(each, 1.0)
-    assert stream.acknowledge(ack(0, 0b101), 1.05, older_than_s=0.1).again == []
-    assert stream.acknowledge(ack(0, 0b101), 1.2, older_than_s=0.1).again == [(0, b"a"), (2, b"c")]
-    assert stream.acknowledge(ack(0, 0b101), 1.25, older_than_s=0.1).again == []
+    assert stream.acknowledge(ack(0, 0b101), 1.05, older_than_s=0.1) == []
+    assert stream.acknowledge(ack(0, 0b101), 1.2, older_than_s=0.1) == [(0, b"a"), (2, b"c")]
+    assert stream.acknowledge(ack(0, 0b101), 1.25, older_than_s=0.1) == []
     assert stream.resent == 2
-    assert stream.acknowledge(ack(3), 1.3, older_than_s=0.1) == ([], None)  # of which sending is unknown
+    assert stream.acknowledge(ack(3), 1.3, older_than_s=0.1) == []
     assert not stream.is_waiting
+
+
+def tried(count: int) -> ReliableOutput:
+    stream = ReliableOutput()
+    stream.begin_trial([b"%d" % number for number in range(count)])
+    return stream
+
+
+def test_last_fragment_of_a_long_message_tries_the_history_of_the_client() -> None:
+    stream = tried(6)
+    assert (stream.trial(), stream.has_room, stream.is_waiting) == ((5, b"5"), False, True)
+    assert stream.acknowledge(ack(0), 1.0, older_than_s=0.1) == []  # it has not arrived yet
+    assert stream.trial() is not None
+    stream.acknowledge(ack(0, 0b011111), 1.0, older_than_s=0.1)
+    assert (len(stream.passed), stream.window, stream.trial(), stream.has_room) == (6, 6, None, True)
+
+
+def test_message_that_the_history_of_the_client_does_not_hold_is_refused_and_its_numbers_are_free() -> None:
+    stream = tried(6)
+    stream.acknowledge(ack(0, 0b111111), 1.0, older_than_s=0.1)
+    assert (stream.passed, stream.window, stream.limit, stream.refused) == ([], HISTORY, 5, 1)
+    assert (stream.trial(), stream.put(b"next", 1.0)) == (None, 0)
+
+
+def test_trial_ends_when_the_stream_moves() -> None:
+    stream = tried(6)
+    for _ in range(REPEATS):
+        stream.acknowledge(ack(900), 1.0, older_than_s=0.1)
+    assert (stream.trial(), stream.first) == (None, 900)
 
 
 @pytest.mark.parametrize("first", [900, -5])
@@ -186,8 +215,8 @@ def test_number_that_does_not_fit_moves_the_stream_when_it_is_repeated(first: in
     stream = ReliableOutput()
     stream.put(b"a", 0.0)
     for _ in range(REPEATS - 1):
-        assert stream.acknowledge(ack(first), 1.0, older_than_s=0.1) == ([], None)
-    assert stream.acknowledge(ack(first), 1.0, older_than_s=0.1).again == [(first % NUMBERS, b"a")]
+        assert stream.acknowledge(ack(first), 1.0, older_than_s=0.1) == []
+    assert stream.acknowledge(ack(first), 1.0, older_than_s=0.1) == [(first % NUMBERS, b"a")]
     assert (stream.first, stream.next) == (first % NUMBERS, (first + 1) % NUMBERS)
 
 
