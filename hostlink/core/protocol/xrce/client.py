@@ -161,6 +161,16 @@ class XrceClient:
         """Time at which the client has been silent for so long, and was not asked meanwhile."""
         return max(self.heard_s, self.probed_s) + after_s if self.is_confirmed else float("inf")
 
+    def delete(self, object_id: int) -> int:
+        """Delete an object, those below it, and what belongs to them. Return the Status."""
+        status = self.objects.delete(object_id)
+        for id_ in [*self.readings.keys() - self.objects.by_id.keys()]:
+            del self.readings[id_]
+            self.reads.pop(id_, None)
+            self.calls.pop(id_, None)
+            self.samples.pop(id_, None)
+        return status
+
     # -- from the client ----------------------------------------------------------------------------------------------
 
     def input(self, stream: int) -> ReliableInput | None:

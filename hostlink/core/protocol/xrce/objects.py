@@ -150,9 +150,9 @@ _DECODERS: Final[dict[int, Callable[[Fields], _Described]]] = {
 
 # -- XML --------------------------------------------------------------------------------------------------------------
 
-_NAME = re.compile(r"<name>\s*([^<]*?)\s*</name>")
-_TYPE = re.compile(r"<dataType>\s*([^<]*?)\s*</dataType>")
-_REQUEST_TOPIC = re.compile(r"<request_topic_name>\s*([^<]*?)\s*</request_topic_name>")
+_NAME = re.compile(r"<name>([^<]*)</name>")  # each pattern takes linear time
+_TYPE = re.compile(r"<dataType>([^<]*)</dataType>")
+_REQUEST_TOPIC = re.compile(r"<request_topic_name>([^<]*)</request_topic_name>")
 _ATTRIBUTE = re.compile(r'\b(service_name|request_type)\s*=\s*"([^"]*)"')
 _BEST_EFFORT = re.compile(r"<reliability>\s*<kind>\s*BEST_EFFORT")
 
@@ -174,7 +174,7 @@ def _read_xml(kind: int, text: str) -> _Described:
 
 def _first(pattern: re.Pattern[str], text: str) -> str:
     found = pattern.search(text)
-    return "" if found is None else unescape(found[1])
+    return "" if found is None else unescape(found[1]).strip()
 
 
 # -- the objects of one client ----------------------------------------------------------------------------------------

@@ -684,7 +684,7 @@ class XrceSession(DeviceSession):
             self._take_read(client, stream, wanted, submessage.payload)
         elif kind in {Kind.CREATE, Kind.DELETE} and (request := decode_request(submessage)) is not None:
             if kind == Kind.DELETE:
-                status = client.objects.delete(request[1])
+                status = client.delete(request[1])
             else:
                 new = decode_object(submessage)
                 status = Status.INVALID_DATA if new is None else client.objects.create(new, submessage.flags)

@@ -30,7 +30,8 @@ CLIENT_ID: Final = 0xFFFE
 UNLIMITED: Final = 0xFFFF  # samples of a READ_DATA
 SAMPLE_IDENTITY_BYTES: Final = 24
 REQUEST_BYTES: Final = 4  # request id and object id
-STRING_BYTES_MAX: Final = 4096  # an XML representation has about 700
+STRING_BYTES_MAX: Final = 1024  # a client's XML has at most 512
+SUBMESSAGES_MAX: Final = 1024  # of one message: their work is bounded
 NUMBERS: Final = 0x10000  # sequence numbers
 
 
@@ -133,7 +134,7 @@ def decode_submessages(body: bytes) -> tuple[list[Submessage], int]:
     """
     found: list[Submessage] = []
     at = 0
-    while at + SUBHEADER_BYTES <= len(body):
+    while at + SUBHEADER_BYTES <= len(body) and len(found) < SUBMESSAGES_MAX:
         kind, flags = body[at], body[at + 1]
         length = int.from_bytes(body[at + 2 : at + 4], "little" if flags & LITTLE else "big")
         start = at + SUBHEADER_BYTES

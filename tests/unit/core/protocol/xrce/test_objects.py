@@ -109,6 +109,12 @@ def test_objects_by_xml_have_the_same_names() -> None:
     assert xml(PUBLISHER, "").name == ""
 
 
+def test_xml_full_of_spaces_is_read_in_linear_time() -> None:
+    for text_ in ("<name>" + " " * 1000, "<name>" * 150, 'service_name="' * 70, "<reliability> " * 70):
+        assert xml(TOPIC, text_).type == NO_TYPE
+        assert xml(REPLIER, text_).type == NO_TYPE
+
+
 def test_service_by_xml_has_the_same_names() -> None:
     attributes = f'profile_name="r" service_name="/led" request_type="{SET_BOOL}_Request_" reply_type="r"'
     topics = "<request_topic_name>rq/ledRequest</request_topic_name>"

@@ -688,6 +688,16 @@ def test_message_waits_until_its_reader_asks() -> None:
     assert [text_of(each) for each in taken(here, 0x26)] == ["waits"]
 
 
+def test_reader_that_is_deleted_leaves_nothing() -> None:
+    here = connected()
+    client = here.session._clients[0x81, b""]
+    here.do(here.client.delete(0x16))
+    assert 0x16 not in client.readings
+    assert 0x16 not in client.reads
+    with pytest.raises(UnknownTopic):
+        here.session.publish("/words", text("a"))
+
+
 def test_request_about_an_unknown_reader_is_answered() -> None:
     here = connected()
     request = here.client.read_data(0x996)

@@ -170,6 +170,11 @@ def test_cut_submessage_is_left_out_and_its_bytes_are_counted() -> None:
     assert decode_submessages(b"\1\2\3") == ([], 3)
 
 
+def test_submessages_of_one_message_are_bounded() -> None:
+    found, rest_bytes = decode_submessages(bytes((Kind.RESET, 1, 0, 0)) * (wire.SUBMESSAGES_MAX + 2))
+    assert (len(found), rest_bytes) == (wire.SUBMESSAGES_MAX, 8)
+
+
 @pytest.mark.parametrize("length", [0, 70_000 % 65536])
 def test_message_of_more_than_64_kilobytes_ends_with_its_body(length: int) -> None:
     body = bytes((Kind.WRITE_DATA, 1)) + length.to_bytes(2, "little") + bytes(70_000)
