@@ -488,6 +488,79 @@ class Stock:
             yield -until_s  # negative: not even for a message
 
 
+# -- transports -------------------------------------------------------------------------------------------------------
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16 with the polynomial 8005, bit by bit, from the lowest."""
+    crc = 0
+    for byte in data:
+        for place in range(8):
+            is_set = (crc ^ byte >> place) & 1
+            crc = crc >> 1 ^ (0xA001 if is_set else 0)
+    return crc
+
+
+class Datagrams:
+    """The board's end of UDP."""
+
+    def encode(self, message: bytes) -> bytes:
+        return message
+
+    def decode(self, data: bytes) -> list[bytes]:
+        return [data]
+
+
+class Lengths(Datagrams):
+    """The board's end of a TCP connection."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def encode(self, message: bytes) -> bytes:
+        return struct.pack("<H", len(message)) + message
+
+    def decode(self, data: bytes) -> list[bytes]:
+        self._rest += data
+        found = []
+        while len(self._rest) >= 2 and len(self._rest) >= 2 + (size := struct.unpack_from("<H", self._rest)[0]):
+            found.append(self._rest[2 : 2 + size])
+            self._rest = self._rest[2 + size :]
+        return found
+
+
+class Serial(Datagrams):
+    """The board's end of a serial line, byte by byte."""
+
+    def __init__(self) -> None:
+        self._frame: list[int] | None = None
+        self._is_escaped = False
+
+    def encode(self, message: bytes) -> bytes:
+        """A frame from the board, whose address is 1, to the host."""
+        sent = bytearray(b"\x7e")
+        for byte in b"\1\0" + struct.pack("<H", len(message)) + message + struct.pack("<H", crc16(message)):
+            sent += bytes((0x7D, byte ^ 0x20)) if byte in {0x7D, 0x7E} else bytes((byte,))
+        return bytes(sent)
+
+    def decode(self, data: bytes) -> list[bytes]:
+        found = []
+        for byte in data:
+            if byte == 0x7E:
+                self._frame, self._is_escaped = [], False
+            elif byte == 0x7D:
+                self._is_escaped = True
+            elif self._frame is not None:
+                self._frame.append(byte ^ 0x20 if self._is_escaped else byte)
+                self._is_escaped = False
+                size = self._frame[2] + (self._frame[3] << 8) if len(self._frame) > 3 else 0xFFFF
+                if len(self._frame) == size + 6:
+                    message, crc = bytes(self._frame[4:-2]), bytes(self._frame[-2:])
+                    found += [message] if crc == struct.pack("<H", crc16(message)) else []
+                    self._frame = None
+        return found
+
+
 # -- the link between a board and a session ---------------------------------------------------------------------------
 
 
@@ -518,8 +591,19 @@ class Link:
 class World:
     """A board, a session and the link between them, in virtual time."""
 
-    def __init__(self, session: XrceSession, program: Program, client: Client, link: Link) -> None:
+    def __init__(
+        self,
+        session: XrceSession,
+        program: Program,
+        client: Client,
+        link: Link,
+        transport: Datagrams | None = None,
+        damage: float = 0.0,
+    ) -> None:
+        """`transport`: the board's end. `damage`: share of the writes of which a byte is damaged."""
         self.session, self.client, self.link = session, client, link
+        self.transport = transport or Datagrams()
+        self.damage = damage
         self.now_s = 0.0
         self.found: list[tuple[float, Event]] = []
         self.to_board = 0  # bytes
@@ -593,12 +677,19 @@ class World:
         sent, self.client.sent = self.client.sent, []
         for each in sent:
             for at_s in self.link.arrivals(self.now_s, to_board=False):
-                self.at(at_s, lambda each=each: self._to_host(each))  # type: ignore[misc]
+                data = self._damaged(self.transport.encode(each))
+                self.at(at_s, lambda data=data: self._to_host(data))  # type: ignore[misc]
         if self._inbox and self._waits_for_messages:
             self._waits_until_s = self.now_s
 
-    def _to_board(self, message: bytes) -> None:
-        self._inbox.append(message)
+    def _damaged(self, data: bytes) -> bytes:
+        if self.link.random.random() >= self.damage:
+            return data
+        place = self.link.random.randrange(len(data))
+        return data[:place] + bytes((self.link.random.randrange(256),)) + data[place + 1 :]
+
+    def _to_board(self, data: bytes) -> None:
+        self._inbox.extend(self.transport.decode(self._damaged(data)))
         if self._waits_for_messages:
             self._waits_until_s = self.now_s
 

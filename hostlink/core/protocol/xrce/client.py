@@ -46,6 +46,8 @@ SILENCE_MAX_S: Final = 0.15
 UNANSWERED_MAX: Final = 5  # HEARTBEATs: the client has no reliable stream from the host
 HEARTBEAT_S: Final = 0.05
 ASK_AGAIN_S: Final = 0.05
+CREATING_S: Final = 1.0  # a board waits for so long for the status of an object, and then for ever in an error loop
+CREATING_SILENCE_S: Final = 0.06
 HEARTBEAT_MAX_S: Final = 1.0
 
 
@@ -140,6 +142,8 @@ class XrceClient:
         self.gap_s = 0.0  # longest of the last pauses between two
         self.heartbeat_s = float("inf")  # next HEARTBEAT
         self.ack_s = float("inf")  # when an ACKNACK that may wait is due
+        self.repair_s = float("inf")  # when a client that creates objects is asked whether something was lost
+        self._creating_until_s = float("-inf")
         self.heartbeats = 0  # since the last ACKNACK
         self.is_reset_due = False
         self.heard_s = now_s
@@ -271,6 +275,26 @@ class XrceClient:
             return False
         blocked_s = min(max(SILENCE_S, 3 * self.round_trip_s), SILENCE_MAX_S)
         return now_s - self.message_s > min(SILENCE_GAPS * self.gap_s, blocked_s)
+
+    def note_creating(self, now_s: float) -> None:
+        """Note that the client creates objects. For a while it is asked for what was lost whenever it is silent."""
+        self._creating_until_s = now_s + CREATING_S
+        self.repair_s = now_s + CREATING_SILENCE_S
+
+    def note_heard(self, now_s: float) -> None:
+        """Note that a message came."""
+        self.heard_s = now_s
+        if self.repair_s < float("inf"):
+            self.repair_s = now_s + CREATING_SILENCE_S
+
+    def due_repair(self, now_s: float) -> bytes:
+        """Return an ACKNACK with which the client sends again what was lost; empty if its number does not fit."""
+        pause_s = max(CREATING_SILENCE_S, 2 * self.round_trip_s)
+        self.repair_s = now_s + pause_s if now_s < self._creating_until_s else float("inf")
+        main = self.input(RELIABLE)
+        if main is None or not main.fits:
+            return b""
+        return self.message(NO_STREAM, self.acknack(main, now_s, is_repair=True))
 
     def note_message(self, now_s: float) -> None:
         """Note that a reliable message came."""

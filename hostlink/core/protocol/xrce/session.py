@@ -208,6 +208,8 @@ class XrceSession(DeviceSession):
                     self._remove(client)
                     continue
                 self._put(client.message(NO_STREAM, client.heartbeat(now_s)))
+            if now_s >= client.repair_s and (repair := client.due_repair(now_s)):
+                self._put(repair)
             if now_s >= client.ack_s:
                 client.ack_s = math.inf
                 self._acks |= {(client.session, client.id_key, stream): None for stream in client.inputs}
@@ -221,7 +223,8 @@ class XrceSession(DeviceSession):
         """Time at which `tick` must be called if no byte arrives before."""
         deadline_s = self._announce_s
         for client in self._clients.values():
-            deadline_s = min(deadline_s, client.heartbeat_s, client.ack_s, client.silent_at_s(KEEPALIVE_S))
+            deadline_s = min(deadline_s, client.heartbeat_s, client.ack_s, client.repair_s)
+            deadline_s = min(deadline_s, client.silent_at_s(KEEPALIVE_S))
             if client.samples:
                 deadline_s = min(deadline_s, self._sample_due_s(client))
             if client.held:
@@ -234,7 +237,7 @@ class XrceSession(DeviceSession):
     def is_steady(self) -> bool:
         """Whether only a long silence is waited for."""
         return self._announce_s == math.inf and not any(
-            min(each.heartbeat_s, each.ack_s) < math.inf or each.samples or each.held or each.zeros
+            min(each.heartbeat_s, each.ack_s, each.repair_s) < math.inf or each.samples or each.held or each.zeros
             for each in self._clients.values()
         )
 
@@ -570,7 +573,7 @@ class XrceSession(DeviceSession):
         client = self._clients.get((message.session, message.key))
         stream = message.stream
         if client is not None:
-            client.heard_s = now_s
+            client.note_heard(now_s)
         if stream == NO_STREAM:
             for each in self._submessages(message.body):
                 self._handle_plain(client, message, each, found)
@@ -689,6 +692,7 @@ class XrceSession(DeviceSession):
                 new = decode_object(submessage)
                 status = Status.INVALID_DATA if new is None else client.objects.create(new, submessage.flags)
                 self.counts.malformed += new is None
+            client.note_creating(self._now_s)
             if status in {Status.OK, Status.MATCHED}:
                 self._announce_s = self._now_s + QUIET_S
             self._answer(client, stream, encode_status(*request, status))
@@ -757,6 +761,7 @@ class XrceSession(DeviceSession):
             limit_bytes=self._framing.limit_bytes,
             now_s=self._now_s,
         )
+        client.note_creating(self._now_s)
         self._clients[info.session, client.id_key] = client
         return True
 
@@ -1087,6 +1092,7 @@ class XrceSession(DeviceSession):
                 continue
             client = self._clients[info.session, _id_key(info)]
             client.is_confirmed, client.is_resumed = False, True
+            client.repair_s = math.inf
             client.output = ReliableOutput(first=number, is_known=False)
             for payload in objects:
                 new = decode_object(Submessage(Kind.CREATE, LITTLE, bytes(2) + payload))

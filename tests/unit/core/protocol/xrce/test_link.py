@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.cdr import cdr_of
-from hostlink.core.protocol.xrce.protocol import MICRO_ROS_UDP
+from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP, Xrce
 from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import XrceSession
 from hostlink.errors import HostlinkError
-from tests.support.xrce_board import TWIST, Client, Link, Program, Published, Stock, World
+from tests.support.xrce_board import TWIST, Client, Datagrams, Lengths, Link, Program, Published, Serial, Stock, World
 
 CATALOG = Catalog()
 COMMAND_S = 0.05
@@ -38,10 +38,21 @@ IMU = cdr("sensor_msgs/Imu", {"header": {"frame_id": "imu_link"}})
 class Drive:
     """A board that drives: each velocity has the time at which it was commanded."""
 
-    def __init__(self, link: Link, *, has_reconnect: bool = False, turn_s: float = 0.0, period_s: float = 0.02) -> None:
+    def __init__(
+        self,
+        link: Link,
+        *,
+        has_reconnect: bool = False,
+        turn_s: float = 0.0,
+        period_s: float = 0.02,
+        session: XrceSession | None = None,
+        transport: Datagrams | None = None,
+        damage: float = 0.0,
+    ) -> None:
         self.client = Client(key=KEY)
         self.board = Stock(self.client, ODOMETRY, IMU, restarts=has_reconnect, turn_s=turn_s, period_s=period_s)
-        self.world = World(MICRO_ROS_UDP.session(CATALOG), self.board.run(), self.client, link)
+        session = session or MICRO_ROS_UDP.session(CATALOG)
+        self.world = World(session, self.board.run(), self.client, link, transport, damage)
         self.world.at(0.0, self._command)
 
     def _command(self) -> None:
@@ -115,6 +126,33 @@ def test_board_with_a_slow_loop_gets_velocities_that_are_at_most_two_turns_old()
     assert all(each.is_done for each in drive.published())
     assert drive.ages_s[int(len(drive.ages_s) * 0.99)] < 0.25
     assert drive.world.session.round_trip_s is not None
+
+
+@pytest.mark.parametrize(
+    ("protocol", "transport"),
+    [(MICRO_ROS_UDP, Datagrams), (MICRO_ROS_TCP, Lengths), (MICRO_ROS_SERIAL, Serial)],
+    ids=["udp", "tcp", "serial"],
+)
+def test_board_drives_over_each_transport(protocol: Xrce, transport: type[Datagrams]) -> None:
+    drive = Drive(Link(Random(1)), session=protocol.session(CATALOG), transport=transport())
+    drive.world.run(3.0)
+    assert len(drive.published()) > 200
+    assert all(each.is_done for each in drive.published())
+    assert drive.taken_since(1.0) > 30
+    counts = drive.world.session.counts
+    assert (counts.skipped_bytes, counts.malformed, drive.world.session.rejected) == (0, 0, {})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_damaged_serial_line_costs_frames_and_no_publish(seed: int) -> None:
+    drive = Drive(Link(Random(seed)), session=MICRO_ROS_SERIAL.session(CATALOG), transport=Serial(), damage=0.05)
+    drive.world.run(8.0)
+    assert drive.board.is_running, drive.board.failed_at
+    assert all(each.is_done for each in drive.published())
+    assert len(drive.published()) > 400
+    assert drive.world.session.bad_checksums > 0
+    assert drive.ages_s[int(len(drive.ages_s) * 0.99)] < 0.25
 
 
 def usable(drive: Drive, within_s: float) -> None:

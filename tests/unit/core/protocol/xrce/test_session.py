@@ -125,6 +125,8 @@ def test_board_is_announced_with_the_names_of_ros() -> None:
     assert here.session.counts.negotiations == 1
     assert here.session.node == "/ns/base"
     assert here.session.raw_endpoints == ()
+    assert not here.session.is_steady
+    here.run(here.now_s + 2.0)
     assert here.session.is_steady
 
 
@@ -261,6 +263,31 @@ def test_client_without_reliable_messages_that_begins_anew_keeps_its_objects() -
     here.do(client.listen(0.1))
     assert len(of_kind(here, events.MessageReceived)) == 2
     assert here.session.quality.best_effort_late == 0
+
+
+def test_board_that_creates_objects_is_asked_for_what_was_lost() -> None:
+    here = world()
+    here.do(here.client.connect())
+    here.client.send(0, 0, here.client.creating(0x01, board.participant("n"), 0)[1])
+    here.client.put(here.client.creating(0x11, board.participant("lost"), 0)[1])
+    del here.client.sent[1]
+    here.client.tries, here.client.next_heartbeat_s = 1, math.inf  # it would send no HEARTBEAT
+    here.do(here.client.listen(0.01))
+    here.do(here.client.listen(0.1))
+    here.run(here.now_s + 0.1)
+    assert len(here.session._clients[0x81, b""].objects.by_id) == 2
+
+
+def test_number_that_does_not_fit_is_not_acknowledged_while_a_board_creates_objects() -> None:
+    session, client = made(), Client(key=KEY)
+    session.receive(client.creation(), now_s=0.0)
+    client.send(0x80, 500, sub(board.RESET, b""))
+    session.receive(client.sent.pop(), now_s=0.01)
+    session.tick(now_s=session.deadline_s())
+    frames = []
+    while (outgoing := session.pop_frame(now_s=1.0, wall_ns=0)) is not None:
+        frames.append(outgoing.frame[4])
+    assert board.ACKNACK not in frames
 
 
 def test_several_clients_behind_one_address_are_one_device_up_to_a_bound() -> None:
