@@ -821,10 +821,10 @@ class XrceSession(DeviceSession):
             self.counts.unknown_ids += 1
             found.append(events.UnknownTopicUsed(request[1]))
             return
-        endpoint_kind = ENDPOINTS[written.kind][0]
-        endpoint = DeviceEndpoint(
-            endpoint_kind, endpoint_id(client.slot, written.id), *client.objects.name_and_type(written)
-        )
+        id_ = endpoint_id(client.slot, written.id)
+        endpoint = self._by_key.get(id_) if self._announce_s == math.inf else None
+        if endpoint is None:
+            endpoint = DeviceEndpoint(ENDPOINTS[written.kind][0], id_, *client.objects.name_and_type(written))
         if not client.is_confirmed:
             self._weigh(client, endpoint, submessage.payload, found)
             return

@@ -380,6 +380,9 @@ def decode_timestamp(submessage: Submessage) -> bytes | None:
 
 # -- payloads to a client ---------------------------------------------------------------------------------------------
 
+_ACKNACK: Final = struct.Struct("<BBHHBBB")
+_HEARTBEAT: Final = struct.Struct("<BBHHHB")
+_REQUEST: Final = struct.Struct(">HH")
 _NS_PER_S: Final = 1_000_000_000
 _AVAILABLE: Final = bytes((0, 1, ObjectKind.AGENT, 0, 1, 0)) + bytes(6)  # no configuration; activity: 1, no addresses
 
@@ -415,17 +418,17 @@ def encode_info(request: int, object_id: int, *, is_in_session: bool) -> bytes:
 
 def encode_acknack(first: int, missing: int, stream: int) -> bytes:
     """Encode an ACKNACK."""
-    return encode_submessage(Kind.ACKNACK, Builder().u16(first).id(missing).u8(stream).data)
+    return _ACKNACK.pack(Kind.ACKNACK, LITTLE, 5, first, missing >> 8, missing & 0xFF, stream)
 
 
 def encode_heartbeat(first: int, last: int, stream: int) -> bytes:
     """Encode a HEARTBEAT."""
-    return encode_submessage(Kind.HEARTBEAT, Builder().u16(first).u16(last).u8(stream).data)
+    return _HEARTBEAT.pack(Kind.HEARTBEAT, LITTLE, 5, first, last, stream)
 
 
 def encode_data(request: int, object_id: int, payload: bytes) -> bytes:
     """Encode a message for a reader, replier or requester."""
-    return encode_submessage(Kind.DATA, Builder().id(request).id(object_id).raw(payload).data)
+    return encode_submessage(Kind.DATA, _REQUEST.pack(request, object_id) + payload)
 
 
 def encode_time(wall_ns: int) -> bytes:

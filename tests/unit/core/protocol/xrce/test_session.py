@@ -450,6 +450,14 @@ def test_endpoints_above_the_bound_are_refused() -> None:
     assert here.session.excess_objects == 1
 
 
+def test_object_that_changes_no_endpoint_is_not_announced() -> None:
+    here = connected()
+    here.do(here.client.create(0x31, board.participant("second"), 0))
+    here.run(here.now_s + 2 * QUIET_S)
+    assert here.session.counts.negotiations == 1
+    assert len(of_kind(here, events.TopicsNegotiated)) == 1
+
+
 def test_endpoints_of_all_clients_are_bounded_together() -> None:
     here = world(session=made(max_topics=1))
     for session, id_, name in ((0x81, REPLIER, "led"), (0x82, REQUESTER, "ask")):
