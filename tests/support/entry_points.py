@@ -27,7 +27,7 @@ from hostlink.components.gateway.foxglove import FoxgloveClient, FoxgloveDirecto
 from hostlink.components.gateway.rest import Owners, Rest
 from hostlink.components.gateway.rosbridge import RosbridgeClient
 from hostlink.components.gateway.routes import BODY, CAME
-from hostlink.components.graphs.ros2_names import Qos
+from hostlink.components.graphs.ros2_qos import Qos
 from hostlink.components.graphs.ros2_types import Ros2Types
 from hostlink.components.recorder.channel import VELOCITY, ros_channel
 from hostlink.components.recorder.mcap_writer import McapWriter

@@ -15,11 +15,11 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.base import normalize_fieldname
 
-from hostlink.components.graphs.ros2_names import ros2_type
 from hostlink.components.graphs.wire_layout import PLACEHOLDER, ros1_layout, ros2_layout
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.fields import SCALAR, VARIABLE, Field
 from hostlink.core.messages.message_type import MessageType
+from hostlink.core.messages.ros2_names import ros2_type
 from hostlink.errors import BadPayload
 
 Distribution = Literal["humble", "iron", "jazzy", "kilted", "lyrical"]

@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from hostlink.components.graphs.ros2_names import Qos
+from hostlink.components.graphs.ros2_qos import Qos
 from hostlink.components.ros2.plan import Ros2Graph, Ros2Publisher, ros2_name
 from hostlink.errors import ConfigError
 

@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from hostlink.components.graphs.ros2_names import Qos, is_ros2_name, ros1_type, ros2_type
+from hostlink.components.graphs.ros2_qos import Qos
+from hostlink.core.messages.ros2_names import is_ros2_name, ros1_type, ros2_type
 
 GLOBAL = frozenset({"/tf", "/tf_static", "/clock", "/diagnostics"})  # one for all namespaces, as in ROS 2
 

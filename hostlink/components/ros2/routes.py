@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING, Any, assert_never
 
 from hostlink.client import Host
-from hostlink.components.graphs.ros2_names import COMMANDS, ros1_type, ros2_type
+from hostlink.components.graphs.ros2_qos import COMMANDS
 from hostlink.components.graphs.wire_layout import ros1_layout, ros2_layout
 from hostlink.components.ros2.conversion import (
     Conversion,
@@ -36,6 +36,7 @@ from hostlink.components.ros2.plan import (
     publisher_qos,
 )
 from hostlink.components.ros2.velocity import VelocityDriver
+from hostlink.core.messages.ros2_names import ros1_type, ros2_type
 from hostlink.core.mirror.inbox import ThreadInbox
 from hostlink.core.robot.velocity import Twist
 from hostlink.core.runtime.log_budget import Budget

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import structlog
 
 from hostlink.components.graphs.hub_source import HubSource
-from hostlink.components.graphs.ros2_names import COMMANDS, Qos, is_ros2_name, ros1_type
+from hostlink.components.graphs.ros2_qos import COMMANDS, Qos
 from hostlink.components.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types
 from hostlink.components.zenoh.rmw_protocol import (
     GID_BYTES,
@@ -37,6 +37,7 @@ from hostlink.components.zenoh.session import Declaration, Query, Token, ZenohSa
 from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.host import GraphService, GraphTopic, Host, Message, Participant
 from hostlink.core.messages.message_type import ServiceType
+from hostlink.core.messages.ros2_names import is_ros2_name, ros1_type
 from hostlink.core.mirror.log_once import LogOnce
 from hostlink.core.mirror.mirror import Mirror
 from hostlink.core.robot.admission import EarlierMotion

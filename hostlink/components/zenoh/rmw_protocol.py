@@ -13,12 +13,10 @@ from typing import Final, NamedTuple
 
 import xxhash
 
-from hostlink.components.graphs.ros2_names import Qos, is_ros2_name
+from hostlink.components.graphs.ros2_qos import Qos
+from hostlink.core.messages.ros2_names import from_dds_type, is_ros2_name, to_dds_type
 from hostlink.core.robot.admission import LEASE_S, Freshness
 from hostlink.core.runtime.units import NS_PER_S
-
-_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
-_DDS_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)::(msg|srv|action)::dds_::([A-Za-z][A-Za-z0-9_]*)_")
 
 DEFAULT_DEPTH: Final = 42
 DEPTH_MAX: Final = 1_000_000
@@ -43,25 +41,6 @@ _ENDPOINT_PARTS: Final = 13  # one more where a type has buffers; it is passed o
 def is_hidden(name: str) -> bool:
     """Whether a part of it begins with an underscore, as those of actions do; the tools of ROS 2 do not list it."""
     return "/_" in name
-
-
-def to_dds_type(type_name: str) -> str:
-    """ "std_msgs/msg/String" -> "std_msgs::msg::dds_::String_".
-
-    Raises:
-        ValueError: it is not a type name of ROS 2.
-    """
-    match = _TYPE.fullmatch(type_name)
-    if match is None:
-        raise ValueError(f"{type_name!r} is not a type name of ROS 2, such as std_msgs/msg/String")
-    package, kind, name = match.groups()
-    return f"{package}::{kind}::dds_::{name}_"
-
-
-def from_dds_type(dds_type: str) -> str | None:
-    """ "std_msgs::msg::dds_::String_" -> "std_msgs/msg/String"; None if it is malformed."""
-    match = _DDS_TYPE.fullmatch(dds_type)
-    return None if match is None else "/".join(match.groups())
 
 
 def mangle(name: str) -> str:

@@ -227,7 +227,7 @@ class Link:
             self.session.outbox.begin_waiting(now_s)
             return
         try:
-            if self._write_frames(now_s):
+            if self._write_frames(now_s) or not self.session.is_steady:  # something may be due earlier now
                 self._expect(now_s)
         except Exception as error:  # noqa: BLE001 - raised by `run`
             self._crash(error)

@@ -48,7 +48,9 @@ _Queues = dict[Hashable, deque[_QueuedFrame]]  # round robin: the first key is n
 
 
 class Outbox:
-    """Send queues of one device. Order: time answer, topic request, urgent commands, replies and calls, commands, stop.
+    """Send queues of one device.
+
+    Order: time answer, topic request, urgent commands, answers of the protocol, replies and calls, commands, stop.
 
     A command replaces the queued command of its topic. A frame is sent when the device's UART has so few bytes left
     that a velocity queued after it is on the wire within one LOOP_S. A frame on the wire cannot be interrupted, and a
@@ -61,12 +63,20 @@ class Outbox:
     """
 
     __slots__ = (
-        "_busy_until_s", "_commands", "_control_bytes", "_is_request_due", "_is_stop_due", "_loop_bytes", "_new",
-        "_replies", "_time_bytes", "_uart_bytes_s", "_urgent", "control", "is_stopped", "is_time_due", "prompt_bytes",
-        "replaced", "robot_moves", "slowest_wait_s",
+        "_answers", "_busy_until_s", "_commands", "_control_bytes", "_encode", "_is_request_due", "_is_stop_due",
+        "_loop_bytes", "_new", "_replies", "_time_bytes", "_uart_bytes_s", "_urgent", "control", "is_stopped",
+        "is_time_due", "prompt_bytes", "replaced", "robot_moves", "slowest_wait_s",
     )  # fmt: skip
 
-    def __init__(self, control: ControlFrames, *, uart_bytes_s: int | None = None) -> None:
+    def __init__(
+        self,
+        control: ControlFrames,
+        *,
+        uart_bytes_s: int | None = None,
+        encode: Callable[[bytes], bytes] | None = None,
+    ) -> None:
+        """`encode` makes the bytes to send of a queued frame, when it is sent; without it, the frame is these bytes."""
+        self._encode = encode
         self.control, self._time_bytes = control, len(control.time(0))
         self._control_bytes = self._time_bytes + len(control.request)  # the most that is sent ahead of a velocity
         self.replaced = 0
@@ -82,6 +92,7 @@ class Outbox:
         self.is_stopped = False  # only queued urgent commands and the stop are still sent
         self.is_time_due = self._is_request_due = self._is_stop_due = False
         self._urgent: _Queues = {}
+        self._answers: _Queues = {}
         self._replies: _Queues = {}
         self._commands: _Queues = {}
         self._new: list[_QueuedFrame] = []  # frames whose age is not counted yet
@@ -91,7 +102,7 @@ class Outbox:
         """Whether any frame is queued."""
         return bool(
             self.is_time_due or self._is_request_due or self._is_stop_due
-            or self._urgent or self._replies or self._commands
+            or self._urgent or self._answers or self._replies or self._commands
         )  # fmt: skip
 
     @property
@@ -109,7 +120,7 @@ class Outbox:
 
     def put_stop(self) -> None:
         """Queue the stop request after the urgent commands. No other frame is sent from now on."""
-        self._is_stop_due = self.is_stopped = True
+        self._is_stop_due, self.is_stopped = bool(self.control.end), True
 
     def put_urgent(self, topic_id: int, frame: bytes, *, is_kept: bool = False) -> None:
         """Queue a velocity, ahead of everything but time answer and topic request. Ignore it after `put_stop`.
@@ -131,6 +142,15 @@ class Outbox:
     def drop_commands(self, topic_id: int) -> None:
         """Drop the commands of a topic that wait."""
         self.replaced += len(self._commands.pop(topic_id, ()))
+
+    def put_answer(self, key: Hashable, frame: bytes, *, depth: int) -> None:
+        """Queue a frame of the protocol itself, such as an acknowledgement. The newest `depth` of a key wait."""
+        waiting = self._answers.setdefault(key, deque())
+        while len(waiting) >= depth:
+            waiting.popleft()
+        new = _QueuedFrame(frame, is_awaited=True)
+        waiting.append(new)
+        self._new.append(new)
 
     def put_reply(self, name: str, frame: bytes, *, is_lasting: bool = False) -> None:
         """Queue an answer to a request of the device. `is_lasting`: it stays when messages are dropped.
@@ -206,6 +226,8 @@ class Outbox:
             self.slowest_wait_s = max(self.slowest_wait_s, now_s - first.since_s)
             if queues is self._urgent:
                 since_s = first.since_s
+        if self._encode is not None:
+            frame = self._encode(frame)
         if self._uart_bytes_s is not None:
             self._busy_until_s = max(self._busy_until_s, now_s) + len(frame) / self._uart_bytes_s
         return OutgoingFrame(frame, since_s)
@@ -236,7 +258,8 @@ class Outbox:
 
     def oldest_s(self, now_s: float) -> float:
         """Age of the oldest queued frame in seconds; 0 when the queues are empty."""
-        every = (*self._urgent.values(), *self._replies.values(), *self._commands.values())
+        queues = (self._urgent, self._answers, self._replies, self._commands)
+        every = [waiting for each in queues for waiting in each.values()]
         return max((0.0, *(now_s - one.since_s for waiting in every for one in waiting)))
 
     def _put(self, queues: _Queues, key: Hashable, new: _QueuedFrame, *, depth: int) -> None:
@@ -257,7 +280,8 @@ class Outbox:
 
     def _head(self) -> tuple[_Queues, Hashable] | None:
         """Find the queue and key of the next frame."""
-        for queues in (self._urgent,) if self.is_stopped else (self._urgent, self._replies, self._commands):
+        waiting_queues = (self._urgent, self._answers, self._replies, self._commands)
+        for queues in waiting_queues[:1] if self.is_stopped else waiting_queues:
             for key, waiting in queues.items():
                 if queues is self._urgent or not self._is_delayed(waiting[0]):
                     return queues, key

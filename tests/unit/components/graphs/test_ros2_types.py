@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from hostlink.components.graphs.ros2_names import ros1_type, ros2_type
 from hostlink.components.graphs.ros2_types import NO_HASH, Distribution, Ros2Message, Ros2Types
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.ros2_names import ros1_type, ros2_type
 from hostlink.errors import BadPayload
 from tests.support.fake_device import CATALOG, message_type
 

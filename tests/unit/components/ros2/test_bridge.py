@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from hostlink.components.gateway.rosapi import describe
-from hostlink.components.graphs.ros2_names import COMMANDS, Qos
+from hostlink.components.graphs.ros2_qos import COMMANDS, Qos
 from hostlink.components.ros2.bridge import FIRST_RETRY_S, Bridge, write_line
 from hostlink.components.ros2.plan import Ros2Graph, Ros2Publisher, publisher_qos
 from hostlink.errors import HostlinkError

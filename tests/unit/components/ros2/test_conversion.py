@@ -9,7 +9,6 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.components.gateway.rosapi import describe
-from hostlink.components.graphs.ros2_names import ros2_type
 from hostlink.components.graphs.wire_layout import Layout, ros1_layout, ros2_layout
 from hostlink.components.ros2.conversion import (
     Conversion,
@@ -21,6 +20,7 @@ from hostlink.components.ros2.conversion import (
     stamped,
 )
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.ros2_names import ros2_type
 from hostlink.errors import BadPayload, HostlinkError
 from tests.support.fake_device import message_type
 

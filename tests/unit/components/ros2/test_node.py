@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.components.graphs.ros2_names import Qos
+from hostlink.components.graphs.ros2_qos import Qos
 from hostlink.components.ros2.plan import Ros2Publisher
 from hostlink.errors import ConfigError
 from tests.support.waiting import expect

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hostlink.components.graphs.ros2_names import Qos
+from hostlink.components.graphs.ros2_qos import Qos
 from hostlink.components.ros2.plan import (
     TWIST,
     TWIST_STAMPED,

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.components.graphs.ros2_names import COMMANDS, Qos
+from hostlink.components.graphs.ros2_qos import COMMANDS, Qos
 from hostlink.components.ros2.plan import publisher_qos, subscription_qos
 
 offers = st.lists(st.builds(Qos, st.booleans(), st.booleans()), max_size=4)

@@ -10,7 +10,7 @@ from typing import cast
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.components.graphs.ros2_names import Qos
+from hostlink.components.graphs.ros2_qos import Qos
 from hostlink.components.graphs.ros2_types import Ros2Types
 from hostlink.components.zenoh import rmw_bridge
 from hostlink.components.zenoh.rmw_bridge import RmwBridge

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from hostlink.components.graphs.ros2_names import Qos
+from hostlink.components.graphs.ros2_qos import Qos
 from hostlink.components.zenoh import rmw_protocol
 from hostlink.components.zenoh.rmw_protocol import (
     OWN_ENCLAVE,

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.components.graphs.ros2_names import COMMANDS, Qos
+from hostlink.components.graphs.ros2_qos import COMMANDS, Qos
 from hostlink.components.zenoh.rmw_protocol import (
     DEFAULT_DEPTH,
     LATCHED,
@@ -16,12 +16,10 @@ from hostlink.components.zenoh.rmw_protocol import (
     decode_qos,
     demangle,
     encode_qos,
-    from_dds_type,
     gid_of,
     is_hidden,
     mangle,
     parse_token,
-    to_dds_type,
 )
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
@@ -165,20 +163,6 @@ def test_keys_of_data_keep_the_slashes_of_a_name() -> None:
     assert (
         data_key(2, "/robot1/chatter", "std_msgs/msg/String", "X") == "2/robot1/chatter/std_msgs::msg::dds_::String_/X"
     )
-
-
-@pytest.mark.parametrize("type_name", ["std_msgs/msg/String", "example_interfaces/srv/AddTwoInts", "a_b/msg/C_Request"])
-def test_type_names_of_dds(type_name: str) -> None:
-    assert from_dds_type(to_dds_type(type_name)) == type_name
-
-
-@pytest.mark.parametrize(
-    "type_name", ["String", "std_msgs/String", "std_msgs/msg/", "Std/msg/String", "std_msgs/msg/Str/ing"]
-)
-def test_malformed_type_name_of_ros_2_is_refused(type_name: str) -> None:
-    with pytest.raises(ValueError, match="not a type name of ROS 2"):
-        to_dds_type(type_name)
-    assert from_dds_type(type_name) is None
 
 
 def test_names_of_actions_are_hidden() -> None:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.core.protocol.outbox import LOOP_S, MAX_REPLIES, RING_BYTES, VELOCITY_BYTES, Outbox
+from hostlink.core.protocol.outbox import LOOP_S, MAX_REPLIES, RING_BYTES, VELOCITY_BYTES, ControlFrames, Outbox
 from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, TOPICS_REQUEST, encode
 from hostlink.core.protocol.rosserial.session import CONTROL_FRAMES
 from hostlink.errors import DeviceBusy
@@ -343,3 +343,57 @@ def test_outbox_without_a_pace_never_waits_and_a_stop_waits_for_the_line() -> No
     stopping.put_stop()
     assert stopping.wait_s(0.0) == 0.0
     assert stopping.pop_frame(now_s=0.0, wall_ns=0) is not None
+
+
+def test_answers_of_the_protocol_leave_after_velocities_and_before_replies_the_newest_of_a_key() -> None:
+    outbox = Outbox(CONTROL_FRAMES)
+    outbox.put_command(100, b"command")
+    outbox.put_reply("p", b"reply")
+    for number in range(3):
+        outbox.put_answer("status", b"status %d" % number, depth=2)
+        outbox.put_answer("acknowledgement", b"acknowledgement %d" % number, depth=1)
+    outbox.put_urgent(101, b"velocity")
+    assert outbox.has_waiting
+    assert drain(outbox) == [
+        b"velocity", b"status 1", b"acknowledgement 2", b"status 2", b"reply", b"command",
+    ]  # fmt: skip
+    assert not outbox.has_waiting
+    assert outbox.replaced == 0
+
+
+def test_answers_stay_when_messages_are_dropped_and_are_not_sent_after_a_stop() -> None:
+    outbox = Outbox(CONTROL_FRAMES)
+    outbox.put_answer("status", b"status", depth=1)
+    outbox.put_command(100, b"command")
+    outbox.drop_messages()
+    assert drain(outbox) == [b"status"]
+    outbox.put_answer("status", b"status", depth=1)
+    outbox.put_stop()
+    assert drain(outbox) == [STOP_REQUEST]
+
+
+def test_frame_is_encoded_when_it_is_sent_and_paced_by_its_encoded_length() -> None:
+    count = 0
+
+    def encoded(frame: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        return frame + b" as %d" % count
+
+    outbox = Outbox(CONTROL_FRAMES, uart_bytes_s=1000, encode=encoded)
+    outbox.put_command(100, b"first")
+    outbox.put_command(101, bytes(100))
+    outbox.put_urgent(102, b"velocity")
+    assert outbox.pop_frame(now_s=0.0, wall_ns=0) == (b"velocity as 1", 0.0)
+    assert outbox.pop_frame(now_s=10.0, wall_ns=0) == (b"first as 2", None)
+    assert outbox.pop_frame(now_s=20.0, wall_ns=0) == (bytes(100) + b" as 3", None)
+    outbox.put_urgent(102, b"velocity")
+    assert outbox.wait_s(20.0) == pytest.approx((105 - (1000 * LOOP_S - 8)) / 1000, abs=0.001)
+
+
+def test_protocol_without_a_stop_request_sends_none() -> None:
+    outbox = Outbox(ControlFrames(lambda _: b"", b"", b""))
+    outbox.put_urgent(101, b"velocity")
+    outbox.put_stop()
+    assert drain(outbox) == [b"velocity"]
+    assert not outbox.has_waiting

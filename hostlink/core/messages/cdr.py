@@ -1,0 +1,346 @@
+"""Compiled translation between CDR, the serialisation of ROS 2, and that of ROS 1, which the hub carries.
+
+CDR is XCDR1, little endian: each value is aligned to its own size, counted from the start of the message. A payload of
+XRCE (micro-ROS) is the message alone; a payload of DDS has the four bytes of ENCAPSULATION before it. A type has the
+same values in both, with these differences in CDR: a header has no `seq`, a text ends with a NUL that its length
+counts, and a message without fields has one byte. Values are copied; only lengths are read.
+"""
+
+import struct
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, cast
+from weakref import WeakKeyDictionary
+
+from hostlink.core.messages.codec import UNCOMMON_LAYOUT
+from hostlink.core.messages.fields import (
+    COUNT_BYTES,
+    EMPTY_ELEMENTS_MAX,
+    ENCODED_BYTES_MAX,
+    SCALAR,
+    SIZES,
+    VARIABLE,
+    Field,
+    Layout,
+)
+from hostlink.core.messages.message_type import MessageType
+from hostlink.errors import BadPayload, WrongType
+
+ENCAPSULATION: Final = b"\x00\x01\x00\x00"  # CDR, little endian; the last two bytes are options
+_REPRESENTATION: Final = ENCAPSULATION[:2]
+
+# Types whose fields ROS 2 has changed, by the md5 sum of the definition of ROS 1. Another definition of such a name, as
+# from a folder of the user's, is not changed.
+_CHANGED: Final = {
+    "rosgraph_msgs/Log": "acffd30cd6b6de30f120938c17c593fb",
+    "shape_msgs/SolidPrimitive": "d8f8cbc74c5ff283fca29569ccefb45d",  # since Humble
+    "visualization_msgs/Marker": "4048c9de2a16f4ae8e0538085ebf1b97",  # since Humble
+}
+# One field more at the end since Iron. Earlier ones ignore the bytes, as ROS 2 does with all after a message.
+_APPENDED: Final = {"sensor_msgs/Range": ("c005c34273dc426c67a020a87bc24148", "float32")}
+
+_ALIGNMENT_MAX: Final = 8
+_PADDING_MAX: Final = 3  # DDS pads a message to 4 bytes
+_SEQ: Final = ("std_msgs/Header", Field("seq", "uint32"))
+_TEXT: Final = Layout("text", (Field("text", "string"),), {})
+_COUNT: Final = struct.Struct("<I")
+_ZEROS: Final = [bytes(count) for count in range(_ALIGNMENT_MAX)]
+
+_Translate = Callable[[bytes], bytes]
+
+
+class Cdr:
+    """Translation of one type. `is_copy`: a message of the type has the same bytes in both serialisations."""
+
+    def __init__(self, type_: MessageType) -> None:
+        self.name: str = type_.name
+        md5, appended = _APPENDED.get(type_.name, ("", ""))
+        to_ros1, from_ros1 = _Module(reads_cdr=True), _Module(reads_cdr=False)
+        self._to_ros1: _Translate = to_ros1.load(type_.layout)
+        self._from_ros1: _Translate = from_ros1.load(type_.layout, appended if md5 == type_.md5 else "")
+        self.is_copy: bool = to_ros1.is_copy
+
+    def to_ros1(self, payload: bytes, *, is_encapsulated: bool = False) -> bytes:
+        """Translate a message of ROS 2. The `seq` of a header is 0.
+
+        `is_encapsulated`: the payload begins with ENCAPSULATION.
+
+        Raises:
+            BadPayload: it is not a message of this type, or its encapsulation is not that of little-endian CDR.
+        """
+        if is_encapsulated:
+            if len(payload) < len(ENCAPSULATION) or not payload.startswith(_REPRESENTATION):
+                raise BadPayload(self.name, f"the payload begins with {payload[:4].hex()}, little-endian CDR with 0001")
+            payload = payload[len(ENCAPSULATION) :]
+        return self._translated(self._to_ros1, payload)
+
+    def from_ros1(self, payload: bytes, *, is_encapsulated: bool = False) -> bytes:
+        """Translate a message of ROS 1.
+
+        Raises:
+            BadPayload: it is not a message of this type.
+        """
+        message = self._translated(self._from_ros1, payload)
+        return ENCAPSULATION + message if is_encapsulated else message
+
+    def _translated(self, translate: _Translate, payload: bytes) -> bytes:
+        try:
+            return translate(payload)
+        except UNCOMMON_LAYOUT as error:
+            raise BadPayload(self.name, f"{len(payload)} bytes are not such a message: {error}") from None
+
+
+_cdrs: Final[WeakKeyDictionary[MessageType, Cdr]] = WeakKeyDictionary()
+
+
+def cdr_of(message_type: MessageType) -> Cdr:
+    """Return the translation of a type. It is compiled once.
+
+    Raises:
+        WrongType: ROS 2 has other fields in this type or in one that it contains.
+    """
+    found = _cdrs.get(message_type)
+    if found is None:
+        _check_fields(message_type, message_type.name)
+        found = _cdrs[message_type] = Cdr(message_type)
+    return found
+
+
+def _check_fields(type_: MessageType, outer: str) -> None:
+    is_inside = type_.name != outer
+    if _CHANGED.get(type_.name) == type_.md5 or (is_inside and _APPENDED.get(type_.name, ("",))[0] == type_.md5):
+        raise WrongType(outer, f"the fields that {type_.name} has in ROS 2", "those of ROS 1")
+    for nested in type_.nested.values():
+        _check_fields(nested, outer)
+
+
+class _Module:
+    """Source of the functions for one type and one direction, with those for the elements of lists."""
+
+    def __init__(self, *, reads_cdr: bool) -> None:
+        self.reads_cdr = reads_cdr
+        self.state = "o" if reads_cdr else "o, d"
+        self.is_copy = False
+        self._functions: dict[Layout, str] = {}
+        self._lines: list[str] = []
+
+    def load(self, layout: Layout, appended: str = "") -> _Translate:
+        """Compile the function that translates a whole message."""
+        body = _Body(self, _ALIGNMENT_MAX)
+        body.add_message(layout)
+        self.is_copy = body.is_copy
+        if appended:
+            body.align(SIZES[appended])
+            body.add_zeros(SIZES[appended])
+        is_strict = not self.reads_cdr or layout.fixed_bytes is not None
+        padding_bytes = _PADDING_MAX if self.reads_cdr else 0
+        self._lines += ["def translate(b):", " o = d = 0", " size = len(b)", " p = []", *body.finish()]
+        self._lines += [f" if size - o > {padding_bytes}: check_rest(b, o, {is_strict})", " return b''.join(p)"]
+        names: dict[str, Any] = {"UncommonLayout": ValueError, "zeros": _ZEROS, "check_rest": _check_rest}
+        names |= {"unpack": _COUNT.unpack_from, "pack": _COUNT.pack}
+        exec("\n".join(self._lines), names)  # noqa: S102 - the source has only numbers of a definition, no text
+        return cast("_Translate", names["translate"])
+
+    def add_element(self, layout: Layout) -> str:
+        """Add the function that translates one element at an offset. Return its name."""
+        if layout not in self._functions:
+            name = self._functions[layout] = f"element_{len(self._functions)}"
+            body = _Body(self, 1)
+            body.add_message(layout)
+            self._lines += [f"def {name}(b, {self.state}, size, p):", *body.finish(), f" return {self.state}"]
+        return self._functions[layout]
+
+
+def _check_rest(payload: bytes, end: int, is_strict: bool) -> None:
+    """Raise ValueError if the payload continues after the message for longer than its writer may let it.
+
+    Micro-ROS announces a byte more than it writes for each empty text, which may cost a whole alignment, and leaves the
+    rest as it is. ROS 2 ignores what is after a message.
+    """
+    rest_bytes = len(payload) - end
+    empty_texts = payload.count(_ZEROS[COUNT_BYTES], 0, end)  # or more: a length of 0 is four zeros
+    if is_strict or rest_bytes >= _ALIGNMENT_MAX * (1 + empty_texts):
+        raise ValueError(f"the message ends after {end} bytes")
+
+
+class _Solid(NamedTuple):
+    """A value whose bytes are the same in both serialisations, also in a list, once it is aligned."""
+
+    alignment: int
+    size: int
+
+
+class _Body:
+    """Statements of one function: b is the payload, o the offset in it, p the parts of the result.
+
+    Where CDR is written, d is the position in it less o. What is known of the position in the CDR when the function is
+    made: it is `phase`, modulo `modulus`.
+    """
+
+    def __init__(self, module: _Module, modulus: int) -> None:
+        self._module = module
+        self._modulus, self._phase = modulus, 0
+        self._lines: list[str] = []
+        self._run: list[tuple[int, bool, bool]] = []  # bytes, and whether CDR and ROS 1 have them; not yet written
+
+    @property
+    def is_copy(self) -> bool:
+        return not self._lines and [flags for _, *flags in self._run] == [[True, True]]
+
+    def finish(self) -> list[str]:
+        self._close_run()
+        return [f" {line}" for line in self._lines]
+
+    def add_message(self, layout: Layout) -> None:
+        if not layout.fields:
+            self.add_zeros(1)
+        for field in layout.fields:
+            if (layout.name, field) == _SEQ:
+                self._extend_run(SIZES[field.type], in_cdr=False)
+            else:
+                self._add_field(layout, field)
+
+    def add_zeros(self, size: int) -> None:
+        """Add bytes that only CDR has."""
+        self._add(size, in_ros1=False)
+
+    def align(self, size: int) -> None:
+        if size <= self._modulus:
+            self.add_zeros(-self._phase % size)
+            return
+        self._close_run()
+        self._align_by_statement(size, "")
+        self._modulus, self._phase = size, 0
+
+    def _add(self, size: int, *, in_ros1: bool = True) -> None:
+        if size:
+            self._extend_run(size, in_ros1=in_ros1)
+            self._phase = (self._phase + size) % self._modulus
+
+    def _add_field(self, layout: Layout, field: Field) -> None:
+        solid = _solid(layout, field)
+        if solid is not None and field.array_length == VARIABLE:
+            self._add_sequence(solid)
+        elif solid is not None:
+            self.align(solid.alignment)
+            self._add(solid.size * abs(field.array_length))
+        elif field.array_length != SCALAR:
+            self._add_elements(layout, field)
+        elif field.type == "string":
+            self._add_text()
+        else:
+            self.add_message(layout.nested[field.type])
+
+    def _add_text(self) -> None:
+        """Add a text. Micro-ROS writes one that was never set as a length of 0, without the NUL."""
+        self._read_count()
+        self._check_end("o + 4 + n")
+        if self._module.reads_cdr:
+            self._lines.append("if n and b[e - 1]: raise UncommonLayout(f'the text at {o} has no NUL at its end')")
+            self._lines.append("p += (pack(n - 1), b[o + 4:e - 1]) if n else (zeros[4],)")
+        else:
+            self._lines += ["p += (pack(n + 1), b[o + 4:e], zeros[1])", "d += 1"]
+        self._lines.append("o = e")
+        self._modulus, self._phase = 1, 0
+
+    def _add_sequence(self, solid: _Solid) -> None:
+        """Add a list of values to copy. An empty one has no padding after its count."""
+        self._read_count()
+        if solid.alignment > COUNT_BYTES:
+            self._lines += ["p.append(b[o:o + 4])", "o += 4", "if n:"]
+            self._align_by_statement(solid.alignment, " ")
+            self._check_end(f"o + n * {solid.size}")
+        else:
+            self._check_end(f"o + 4 + n * {solid.size}")
+        self._lines += ["p.append(b[o:e])", "o = e"]
+        self._modulus, self._phase = min(COUNT_BYTES, solid.size & -solid.size), 0
+
+    def _add_elements(self, layout: Layout, field: Field) -> None:
+        """Add a list or an array of texts, or of messages that are not only copied."""
+        element = _TEXT if field.type == "string" else layout.nested[field.type]
+        name = self._module.add_element(element)
+        count = str(field.array_length)
+        if field.array_length == VARIABLE:
+            self._read_count()
+            self._lines += [
+                f"if n * {self._least_bytes(element)} > size - o - 4: raise UncommonLayout(f'{{n}} elements at {{o}}')"
+            ]
+            if element.minimum_bytes == 0:
+                self._lines.append(
+                    f"if n > {EMPTY_ELEMENTS_MAX}: raise UncommonLayout(f'{{n}} elements without fields')"
+                )
+            self._lines += ["p.append(b[o:o + 4])", "o += 4"]
+            count = "n"
+        self._close_run()
+        self._lines += [
+            f"for _ in range({count}):",
+            f" {self._module.state} = {name}(b, {self._module.state}, size, p)",
+        ]
+        if (
+            not self._module.reads_cdr and element.room > element.minimum_bytes
+        ):  # it grows by its messages without fields
+            self._lines.append(f" if o + d > {ENCODED_BYTES_MAX}: raise UncommonLayout('it is too long in CDR')")
+        self._modulus, self._phase = 1, 0
+
+    def _least_bytes(self, element: Layout) -> int:
+        return 1 if self._module.reads_cdr else element.minimum_bytes
+
+    def _read_count(self) -> None:
+        self.align(COUNT_BYTES)
+        self._close_run()
+        self._lines.append("n, = unpack(b, o)")
+
+    def _check_end(self, end: str) -> None:
+        self._lines += [f"e = {end}", "if e > size: raise UncommonLayout(f'{e - size} bytes are missing at {o}')"]
+
+    def _align_by_statement(self, size: int, indent: str) -> None:
+        if self._module.reads_cdr:
+            self._lines.append(f"{indent}o = (o + {size - 1}) & -{size}")
+        else:
+            lines = (f"k = -(o + d) & {size - 1}", "p.append(zeros[k])", "d += k")
+            self._lines += [f"{indent}{line}" for line in lines]
+
+    def _extend_run(self, size: int, *, in_cdr: bool = True, in_ros1: bool = True) -> None:
+        if self._run and self._run[-1][1:] == (in_cdr, in_ros1):
+            size += self._run.pop()[0]
+        self._run.append((size, in_cdr, in_ros1))
+
+    def _close_run(self) -> None:
+        """Write the statements that copy the open run."""
+        parts: list[str] = []
+        at = grown = 0  # offset in what is read; bytes by which the result is longer
+        for size, in_cdr, in_ros1 in self._run:
+            is_read, is_written = (in_cdr, in_ros1) if self._module.reads_cdr else (in_ros1, in_cdr)
+            if is_read and is_written:
+                parts.append(f"b[o + {at}:o + {at + size}]")
+            elif is_written:
+                parts.append(f"zeros[{size}]" if size < _ALIGNMENT_MAX else f"bytes({size})")
+            at += size * is_read
+            grown += size * (is_written - is_read)
+        if at:
+            self._check_end(f"o + {at}")
+        if parts:
+            self._lines.append(f"p += ({', '.join(parts)},)")
+        if at:
+            self._lines.append("o = e")
+        if grown and not self._module.reads_cdr:
+            self._lines.append(f"d += {grown}")
+        self._run = []
+
+
+def _solid(layout: Layout, field: Field) -> _Solid | None:
+    """Return the value of a field, or the element of a list, as one to copy; None if it is not."""
+    if field.type in SIZES:
+        return _Solid(SIZES[field.type], SIZES[field.type])
+    if field.type == "string" or not layout.nested[field.type].fields:
+        return None
+    inner = layout.nested[field.type]
+    alignment = size = 0
+    for part in inner.fields:
+        solid = None if part.array_length == VARIABLE else _solid(inner, part)
+        if solid is None:
+            return None
+        alignment = alignment or solid.alignment  # the first field aligns all
+        if solid.alignment > alignment or size % solid.alignment:
+            return None
+        size += solid.size * abs(part.array_length)
+    return None if size % alignment else _Solid(alignment, size)

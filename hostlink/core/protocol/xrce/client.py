@@ -1,0 +1,396 @@
+"""XrceClient: one client of a connection, host side: its objects, what it wants to read, its streams and times."""
+
+from collections import deque
+from typing import Final
+
+from hostlink.core.protocol.xrce.objects import ObjectTable
+from hostlink.core.protocol.xrce.streams import BestEffortInput, ReliableInput, ReliableOutput
+from hostlink.core.protocol.xrce.wire import (
+    BEST_EFFORT,
+    KEYLESS,
+    LAST_FRAGMENT,
+    LITTLE,
+    NO_STREAM,
+    NUMBERS,
+    RELIABLE,
+    SUBHEADER_BYTES,
+    UNLIMITED,
+    ClientInfo,
+    Kind,
+    Range,
+    ReadRequest,
+    encode_acknack,
+    encode_heartbeat,
+    encode_message,
+    encode_submessage,
+    header_bytes,
+    number_after,
+)
+
+STREAMS_MAX: Final = 4  # of each kind that a client sends on; micro-ROS has one
+WAITING_MAX: Final = 64  # answers and fragments that wait for room in the client's history
+FIRST_ROUND_TRIP_S: Final = 0.02  # until it is measured: a turn of a board's loop
+ROUND_TRIP_MAX_S: Final = 0.5
+SMOOTHING: Final = 0.2
+SLOW_S: Final = 0.06  # a board that answers later reads commands of 20 Hz later and later
+PROVOKED_MAX: Final = 32
+AGAIN_MAX_S: Final = 0.25  # before a message is sent again
+ANSWER_S: Final = 1.0  # what is not answered until then was lost
+PROBE_S: Final = 0.25
+REPEAT_S: Final = 0.05  # between two zeros
+REPEAT_UNTIL_S: Final = 3.0  # a board that blocks in two publishes takes a zero after 2.0 s
+IN_FLIGHT_S: Final = 0.5  # a velocity that is not answered until then was lost
+SILENCE_GAPS: Final = 1.5  # a client that publishes is silent for longer only when it waits for an acknowledgement
+SILENCE_S: Final = 0.03
+SILENCE_MAX_S: Final = 0.15
+UNANSWERED_MAX: Final = 5  # HEARTBEATs: the client has no reliable stream from the host
+HEARTBEAT_S: Final = 0.05
+ASK_AGAIN_S: Final = 0.05
+CREATING_S: Final = 1.0  # a board waits for so long for the status of an object, and then for ever in an error loop
+CREATING_SILENCE_S: Final = 0.06
+HEARTBEAT_MAX_S: Final = 1.0
+
+
+class Reading:
+    """Request of a client for messages to a reader, replier or requester, and what it has had of them."""
+
+    __slots__ = ("_bytes_s", "_due_s", "_left", "_pace_s", "_until_s", "request", "stream")
+
+    def __init__(self, wanted: ReadRequest, now_s: float) -> None:
+        self.request, self.stream = wanted.request, wanted.stream
+        self._left = -1 if wanted.samples == UNLIMITED else wanted.samples
+        self._until_s = now_s + wanted.seconds if wanted.seconds else float("inf")
+        self._bytes_s, self._pace_s = wanted.bytes_s, wanted.pace_ms / 1000
+        self._due_s = now_s
+
+    def is_over(self, now_s: float) -> bool:
+        """Whether the client wants no more."""
+        return self._left == 0 or now_s >= self._until_s
+
+    def due_s(self) -> float:
+        """Time from which on the next sample may be sent."""
+        return self._due_s
+
+    def note_sent(self, size_bytes: int, now_s: float) -> None:
+        """Note that a sample was sent."""
+        if self._left > 0:
+            self._left -= 1
+        pause_s = self._pace_s
+        if self._bytes_s:
+            pause_s = max(pause_s, size_bytes / self._bytes_s)
+        self._due_s = now_s + pause_s
+
+
+class Zero:
+    """A zero that is repeated until the board has answered it."""
+
+    __slots__ = ("due_s", "mark", "message", "until_s")
+
+    def __init__(self, message: bytes, now_s: float) -> None:
+        self.message = message
+        self.mark = 0  # of the first HEARTBEAT in the same message
+        self.due_s, self.until_s = now_s + REPEAT_S, now_s + REPEAT_UNTIL_S
+
+
+class XrceClient:
+    """One client. `slot` numbers it among those of its connection."""
+
+    def __init__(self, info: ClientInfo, slot: int, *, max_endpoints: int, limit_bytes: int, now_s: float) -> None:
+        """`limit_bytes`: longest message of the transport."""
+        self.info, self.slot = info, slot
+        self.session = info.session
+        self.id_key = info.key if info.session < KEYLESS else b""
+        self.header_bytes = header_bytes(info.session)
+        self.mtu = min(info.mtu, limit_bytes)
+        self.objects = ObjectTable(max_endpoints)
+        self.readings: dict[int, Reading] = {}
+        self.reads: dict[int, bytes] = {}  # payload of each READ_DATA that counts
+        self.calls: dict[int, deque[bytes]] = {}  # requests of the client that wait for a response, by requester
+        self.samples: dict[int, deque[bytes]] = {}  # messages that wait, by the id of their reader
+        self.waiting: deque[bytes] = deque()  # bodies for the reliable stream, in order
+        self.zeros: dict[int, Zero] = {}  # by the id of their endpoint, as the next
+        self.held: dict[
+            int, tuple[bytes, bool]
+        ] = {}  # velocities that wait for the one in flight, and if they are kept
+        self.flying_until_s = float("-inf")  # a velocity is on its way to a slow board
+        self.flying_mark = 0
+        self.is_confirmed = True  # after a restart of the host: it is the client that the state tells of
+        self.evidence = 0  # messages that fit the state of a resumed client
+        self.created_s = self.heard_s = now_s
+        self.round_trip_s = FIRST_ROUND_TRIP_S
+        self.least_round_trip_s = float("inf")
+        self.slowest_round_trip_s = 0.0
+        self.round_trips = 0
+        self.acknacks = 0
+        self.has_answered = False  # a HEARTBEAT
+        self.is_reset_due = False  # it was created again, or a datagram came twice: its next number tells
+        self.mark = 0  # of the last thing that the client answers
+        self.reset_streams(now_s)
+
+    def reset_streams(self, now_s: float) -> None:
+        """Begin all streams at their first number."""
+        self.is_resumed = False  # the streams began before the host did
+        self.inputs: dict[int, ReliableInput] = {}
+        self.lossy_inputs: dict[int, BestEffortInput] = {}
+        self.output = ReliableOutput()
+        self.numbers: dict[int, int] = {}  # next number of each best-effort stream to the client
+        self.waiting.clear()
+        self.provoked: deque[tuple[int, float]] = deque()  # what the client answers with an ACKNACK: mark, time
+        self.told_s = float("-inf")  # last ACKNACK to the client
+        self.probed_s = float("-inf")  # last HEARTBEAT to it
+        self.message_s = now_s  # last reliable message from the client
+        self.gap_s = 0.0  # longest of the last pauses between two
+        self.heartbeat_s = float("inf")  # next HEARTBEAT
+        self.ack_s = float("inf")  # when an ACKNACK that may wait is due
+        self.repair_s = float("inf")  # when a client that creates objects is asked whether something was lost
+        self._creating_until_s = float("-inf")
+        self.heartbeats = 0  # since the last ACKNACK
+        self.is_reset_due = False
+        self.heard_s = now_s
+        self.drop_velocities()
+
+    def drop_velocities(self) -> None:
+        """Forget velocities that wait and zeros that are repeated."""
+        self.zeros.clear()
+        self.held.clear()
+        self.flying_until_s = float("-inf")
+
+    def begin(self, now_s: float) -> None:
+        """Begin a new connection. A client whose number is unknown is asked for it."""
+        self.heard_s = self.created_s = now_s
+        if not self.output.is_known:
+            self.heartbeat_s = now_s
+
+    def silent_at_s(self, after_s: float) -> float:
+        """Time at which the client has been silent for so long, and was not asked meanwhile."""
+        return max(self.heard_s, self.probed_s) + after_s if self.is_confirmed else float("inf")
+
+    def delete(self, object_id: int) -> int:
+        """Delete an object, those below it, and what belongs to them. Return the Status."""
+        status = self.objects.delete(object_id)
+        for id_ in [*self.readings.keys() - self.objects.by_id.keys()]:
+            del self.readings[id_]
+            self.reads.pop(id_, None)
+            self.calls.pop(id_, None)
+            self.samples.pop(id_, None)
+        return status
+
+    # -- from the client ----------------------------------------------------------------------------------------------
+
+    def input(self, stream: int) -> ReliableInput | None:
+        """Return a reliable stream from the client; None if it has too many."""
+        found = self.inputs.get(stream)
+        if found is None and len(self.inputs) < STREAMS_MAX:
+            found = self.inputs[stream] = ReliableInput(stream, is_resumed=self.is_resumed)
+        return found
+
+    def lossy_input(self, stream: int) -> BestEffortInput | None:
+        """Return a best-effort stream from the client; None if it has too many."""
+        found = self.lossy_inputs.get(stream)
+        if found is None and len(self.lossy_inputs) < STREAMS_MAX:
+            found = self.lossy_inputs[stream] = BestEffortInput(is_resumed=self.is_resumed)
+        return found
+
+    def acknowledge(self, told: Range, now_s: float) -> tuple[list[bytes], int]:
+        """Note an ACKNACK. Return the messages to send again, and the mark of what it most likely answers."""
+        self.acknacks += 1
+        self.has_answered = True
+        self.heartbeats = 0
+        answered = self._answered(now_s)
+        again = self.output.acknowledge(told, now_s, older_than_s=min(self.round_trip_s, AGAIN_MAX_S))
+        self.waiting.extendleft(reversed(self.output.passed))
+        self.output.passed = []
+        self.plan_heartbeat(now_s)
+        return [self.message(RELIABLE, body, number) for number, body in again], answered
+
+    def _answered(self, now_s: float) -> int:
+        """Take what an ACKNACK answers: the oldest that is not too old. Return its mark; 0 if there is none.
+
+        When one was lost, the next answer counts for it: what is said to be answered is, at most too little.
+        """
+        self._forget_lost(now_s)
+        if not self.provoked:
+            return 0
+        is_alone = len(self.provoked) == 1
+        mark, at_s = self.provoked.popleft()
+        if is_alone:
+            self._note_round_trip(now_s - at_s)
+        return mark
+
+    def _forget_lost(self, now_s: float) -> None:
+        while self.provoked and self.provoked[0][1] < now_s - ANSWER_S:
+            self.provoked.popleft()
+
+    def is_probe_due(self, now_s: float) -> bool:
+        """Whether a HEARTBEAT in the same message would measure the round trip."""
+        self._forget_lost(now_s)
+        return not self.provoked and (self.is_slow or now_s - self.probed_s >= PROBE_S)
+
+    def _note_round_trip(self, taken_s: float) -> None:
+        self.round_trips += 1
+        self.least_round_trip_s = min(self.least_round_trip_s, taken_s)
+        self.slowest_round_trip_s = max(self.slowest_round_trip_s, taken_s)
+        smoothed = taken_s if self.round_trips == 1 else self.round_trip_s + SMOOTHING * (taken_s - self.round_trip_s)
+        self.round_trip_s = min(smoothed, ROUND_TRIP_MAX_S)
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether the board reads commands more slowly than they come."""
+        return self.round_trips > 0 and self.round_trip_s > SLOW_S
+
+    # -- to the client ------------------------------------------------------------------------------------------------
+
+    def request_of(self, object_id: int) -> int:
+        """Return the id of the request that messages for a reader answer; 0 before it has made one."""
+        reading = self.readings.get(object_id)
+        return 0 if reading is None else reading.request
+
+    def message(self, stream: int, body: bytes, number: int = 0) -> bytes:
+        """Return a message to the client."""
+        return encode_message(self.session, self.info.key, stream, number, body)
+
+    def note_provoked(self, now_s: float) -> int:
+        """Note that something is sent that the client answers with an ACKNACK. Return its mark."""
+        self.mark += 1
+        self.provoked.append((self.mark, now_s))
+        if len(self.provoked) > PROVOKED_MAX:
+            self.provoked.popleft()
+        return self.mark
+
+    def stamped(self, message: bytes) -> bytes:
+        """Return a message of a best-effort stream with its number."""
+        stream = message[1]
+        number = self.numbers.get(stream, 0)
+        self.numbers[stream] = number_after(number)
+        return message[:2] + number.to_bytes(2, "little") + message[4:]
+
+    def is_repair_due(self, now_s: float) -> bool:
+        """Whether an ACKNACK in the same message may repair a loss, and repeats no other.
+
+        The client sends again what it has when it gets a bit of the bitmap. It postpones its own HEARTBEAT with each
+        message that it gets, and waits for up to a second without this.
+        """
+        main = self.inputs.get(RELIABLE)
+        if main is None or not main.fits or now_s - self.told_s <= self.round_trip_s:
+            return False
+        blocked_s = min(max(SILENCE_S, 3 * self.round_trip_s), SILENCE_MAX_S)
+        return now_s - self.message_s > min(SILENCE_GAPS * self.gap_s, blocked_s)
+
+    def note_creating(self, now_s: float) -> None:
+        """Note that the client creates objects. For a while it is asked for what was lost whenever it is silent."""
+        self._creating_until_s = now_s + CREATING_S
+        self.repair_s = now_s + CREATING_SILENCE_S
+
+    def note_heard(self, now_s: float) -> None:
+        """Note that a message came."""
+        self.heard_s = now_s
+        if self.repair_s < float("inf"):
+            self.repair_s = now_s + CREATING_SILENCE_S
+
+    def due_repair(self, now_s: float) -> bytes:
+        """Return an ACKNACK with which the client sends again what was lost; empty if its number does not fit."""
+        pause_s = max(CREATING_SILENCE_S, 2 * self.round_trip_s)
+        self.repair_s = now_s + pause_s if now_s < self._creating_until_s else float("inf")
+        main = self.input(RELIABLE)
+        if main is None or not main.fits:
+            return b""
+        return self.message(NO_STREAM, self.acknack(main, now_s, is_repair=True))
+
+    def note_message(self, now_s: float) -> None:
+        """Note that a reliable message came."""
+        self.gap_s = max(now_s - self.message_s, (1 - SMOOTHING / 4) * self.gap_s)
+        self.message_s = now_s
+
+    @property
+    def is_creating(self) -> bool:
+        """Whether the client most likely creates more: it waits for the status of what it has created."""
+        return self.output.is_waiting and self.heartbeats < UNANSWERED_MAX
+
+    def acknack(self, stream: ReliableInput, now_s: float, *, is_repair: bool = False) -> bytes:
+        """Return an ACKNACK of a stream, which fits. What is known to be missing is asked for again."""
+        self.told_s = now_s
+        missing = stream.missing()
+        self.ack_s = float("inf")
+        if missing and stream.note_asked(now_s):
+            self.ack_s = now_s + max(ASK_AGAIN_S, 2 * self.round_trip_s)
+        return encode_acknack(stream.next, missing or int(is_repair), stream.stream)
+
+    def heartbeat(self, now_s: float) -> bytes:
+        """Return a HEARTBEAT, which the client answers."""
+        self.note_provoked(now_s)
+        self.probed_s = now_s
+        output = self.output
+        return encode_heartbeat(output.first, (output.next - 1) % NUMBERS, output.stream)
+
+    def plan_heartbeat(self, now_s: float) -> None:
+        """Plan the next HEARTBEAT, if something waits for an acknowledgement."""
+        if not self.output.is_waiting:
+            self.heartbeat_s = float("inf")
+            return
+        pause_s = max(HEARTBEAT_S, 2 * self.round_trip_s) * 2 ** min(self.heartbeats, 8)
+        self.heartbeat_s = now_s + min(pause_s, HEARTBEAT_MAX_S)
+
+    def due_heartbeat(self, now_s: float) -> bytes:
+        """Return the message that makes the client tell what it has, and plan the next one.
+
+        Where its expected number is unknown, it is an earlier one, which the client drops and answers.
+        """
+        self.heartbeats += 1
+        if self.heartbeats > UNANSWERED_MAX:
+            self.output.end_trial(is_kept=False)
+        self.plan_heartbeat(now_s)
+        if self.output.trial() is not None:
+            return self.tried(now_s)
+        if self.output.is_known:
+            return self.message(NO_STREAM, self.heartbeat(now_s))
+        self.note_provoked(now_s)
+        empty = encode_heartbeat(0, 0, BEST_EFFORT)  # about a stream that has none: the client ignores it
+        return self.message(RELIABLE, empty, (self.output.first - 1) % NUMBERS)
+
+    def tried(self, now_s: float) -> bytes:
+        """Return the message that tries whether the client keeps a long one."""
+        trial = self.output.trial()
+        number, body = (0, b"") if trial is None else trial
+        self.note_provoked(now_s)
+        return self.message(RELIABLE, body, number)
+
+    def bodies(self, submessage: bytes) -> list[bytes]:
+        """Return the bodies of the messages that have a submessage: one, or its fragments."""
+        room_bytes = self.mtu - self.header_bytes
+        if len(submessage) <= room_bytes:
+            return [submessage]
+        size = room_bytes - SUBHEADER_BYTES
+        parts = [submessage[at : at + size] for at in range(0, len(submessage), size)]
+        flags = [LITTLE] * (len(parts) - 1) + [LITTLE | LAST_FRAGMENT]
+        return [encode_submessage(Kind.FRAGMENT, part, flag) for part, flag in zip(parts, flags, strict=True)]
+
+    def room_bytes(self, object_id: int) -> int:
+        """Longest payload for a reader, replier or requester, with what is before it."""
+        reading = self.readings.get(object_id)
+        room_bytes = self.mtu - self.header_bytes
+        if reading is None or reading.stream >= RELIABLE:
+            room_bytes = self.output.limit * (room_bytes - SUBHEADER_BYTES)
+        return min(room_bytes - SUBHEADER_BYTES, NUMBERS - 1)
+
+    def note_flying(self, mark: int, now_s: float) -> None:
+        """Note that a velocity with a HEARTBEAT was sent."""
+        self.flying_mark, self.flying_until_s = mark, now_s + IN_FLIGHT_S
+
+    def note_answered(self, mark: int) -> None:
+        """Note that the client has read what was sent with this mark, and before."""
+        if mark >= self.flying_mark:
+            self.flying_until_s = float("-inf")
+        for each in [each for each, zero in self.zeros.items() if 0 < zero.mark <= mark]:
+            del self.zeros[each]
+
+    def due_messages(self, now_s: float) -> list[bytes]:
+        """Return the reliable messages that may be sent now."""
+        found: list[bytes] = []
+        while self.waiting and self.output.has_room:
+            body = self.waiting.popleft()
+            found.append(self.message(RELIABLE, body, self.output.put(body, now_s)))
+            self.note_provoked(now_s)
+        if found:
+            self.heartbeats = 0
+            self.plan_heartbeat(now_s)
+        return found

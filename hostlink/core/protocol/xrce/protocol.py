@@ -1,0 +1,63 @@
+"""MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL: DDS-XRCE as listeners and links use it, one for each transport."""
+
+from collections.abc import Callable
+
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.protocol.session import DeviceProtocol
+from hostlink.core.protocol.xrce.framing import DatagramFraming, Framing, LengthFraming, SerialFraming
+from hostlink.core.protocol.xrce.payloads import Payloads
+from hostlink.core.protocol.xrce.resume import SessionState
+from hostlink.core.protocol.xrce.session import NAME, XrceSession
+from hostlink.core.protocol.xrce.wire import NO_STREAM, answer_ping, is_create_client
+
+
+class Xrce(DeviceProtocol):
+    """DDS-XRCE on one kind of transport."""
+
+    name = NAME
+
+    def __init__(
+        self, framing: Callable[[], Framing], *, keeps_datagrams: bool = False, velocity_stream: int = NO_STREAM
+    ) -> None:
+        """`velocity_stream`: as in XrceSession."""
+        self.keeps_datagrams = keeps_datagrams
+        self._framing, self._velocity_stream = framing, velocity_stream
+
+    def session(
+        self,
+        catalog: Catalog,
+        *,
+        uart_bytes_s: int | None = None,
+        max_topics: int = 256,
+        is_lossy: bool = False,  # noqa: ARG002 - losses are repaired on every transport
+    ) -> XrceSession:
+        """Create the session of a new connection."""
+        return self.resumed(catalog, None, uart_bytes_s=uart_bytes_s, max_topics=max_topics)
+
+    def resumed(
+        self, catalog: Catalog, state: SessionState | None, *, uart_bytes_s: int | None = None, max_topics: int = 256
+    ) -> XrceSession:
+        """Create the session of a connection that may go on where an earlier one ended."""
+        return XrceSession(
+            self._framing(),
+            Payloads(catalog),
+            uart_bytes_s=uart_bytes_s,
+            max_topics=max_topics,
+            velocity_stream=self._velocity_stream,
+            state=state,
+        )
+
+    def is_greeting(self, data: bytes) -> bool:
+        """Whether the bytes create a client."""
+        return any(map(is_create_client, self._framing().feed(data)))
+
+    def answer_ping(self, data: bytes) -> bytes:
+        """Return the answer to pings that need no link; empty if there are none."""
+        framing = self._framing()
+        answers = map(answer_ping, framing.feed(data))
+        return b"".join(framing.encode(each) for each in answers if each is not None)
+
+
+MICRO_ROS_UDP = Xrce(DatagramFraming, keeps_datagrams=True)
+MICRO_ROS_TCP = Xrce(LengthFraming)
+MICRO_ROS_SERIAL = Xrce(SerialFraming)

@@ -1,0 +1,1179 @@
+"""XrceSession: the host's side of DDS-XRCE with one micro-ROS board. Decides what bytes and times mean.
+
+The session owns the framing, the clients behind one address, their objects and streams, and the outbox. The Link moves
+the bytes and reads the clock.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Final
+
+from hostlink.core.protocol import events
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
+from hostlink.core.protocol.session import DeviceSession
+from hostlink.core.protocol.xrce.client import REPEAT_S, WAITING_MAX, Reading, XrceClient, Zero
+from hostlink.core.protocol.xrce.framing import Framing
+from hostlink.core.protocol.xrce.objects import ENDPOINTS, XrceObject, decode_object, kind_of
+from hostlink.core.protocol.xrce.payloads import Payloads
+from hostlink.core.protocol.xrce.resume import ClientState, SessionState
+from hostlink.core.protocol.xrce.streams import WINDOW, ReliableInput, ReliableOutput
+from hostlink.core.protocol.xrce.wire import (
+    BEST_EFFORT,
+    CLIENT_ID,
+    FORMAT,
+    KEYLESS,
+    LAST_FRAGMENT,
+    LITTLE,
+    NO_STREAM,
+    RELIABLE,
+    REPLACE,
+    REQUEST_BYTES,
+    REUSE,
+    SAMPLE_IDENTITY_BYTES,
+    SUBHEADER_BYTES,
+    UNLIMITED,
+    VERSION,
+    ClientInfo,
+    Kind,
+    Message,
+    ObjectKind,
+    Range,
+    ReadRequest,
+    Status,
+    Submessage,
+    decode_acknack,
+    decode_client,
+    decode_heartbeat,
+    decode_message,
+    decode_read,
+    decode_request,
+    decode_submessages,
+    decode_timestamp,
+    distance,
+    encode_client,
+    encode_data,
+    encode_info,
+    encode_message,
+    encode_status,
+    encode_status_agent,
+    encode_submessage,
+    encode_timestamp_reply,
+    join_submessages,
+    number_after,
+)
+from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
+
+NAME: Final = "micro-ROS"
+CLIENTS_MAX: Final = 4  # behind one address; the id of an endpoint has two bits for them
+MTU_MIN: Final = 32  # less has no room for an answer
+QUIET_S: Final = 0.1  # a board creates its objects one after another, each within a round trip
+RESTART_SILENCE_S: Final = 1.0  # another client with this session id is the same board after a restart
+GONE_S: Final = 3.0
+KEEPALIVE_S: Final = 1.0  # after this silence a HEARTBEAT asks whether the board is alive
+KEPT_BYTES: Final = 1024  # of bytes that are in no message
+LATE_CREATION_S: Final = 2.0  # a CREATE_CLIENT of the session before is a late datagram until then
+ACKNOWLEDGING_S: Final = 0.5  # a resumed client with a reliable stream acknowledges something until then
+EVIDENCE: Final = 3  # messages that fit the state of one without
+RESUMED_NUMBERS_MAX: Final = 8192  # that may have passed since the state was stored
+FAR_NUMBERS: Final = 0x4000
+ZEROS_BYTES: Final = 64  # of a response whose layout is unknown
+CALLS_MAX: Final = 16  # of one service client or service of the device, waiting
+FRAGMENT_BYTE: Final = bytes((Kind.FRAGMENT,))
+ACK_S: Final = 0.005  # a client sends the next fragment sooner than this
+ANSWERS: Final = "answers"
+CREATED: Final = LITTLE | REUSE | REPLACE
+
+
+class Quality:
+    """Counts of one connection for a diagnosis, since the link opened."""
+
+    __slots__ = ("best_effort_late", "best_effort_lost", "duplicates", "restarts", "resumed", "unread")
+
+    def __init__(self) -> None:
+        self.best_effort_lost = 0  # gaps in the numbers: exact
+        self.best_effort_late = 0
+        self.duplicates = 0  # messages that the device sent again
+        self.restarts = 0  # CREATE_CLIENT after the first
+        self.resumed = 0  # clients that went on after a restart of the host
+        self.unread = 0  # messages to readers that want no more
+
+
+class _TimeAnswer:
+    """Answer to the last TIMESTAMP. Its time is that of sending."""
+
+    __slots__ = ("key", "originated", "session")
+
+    def __init__(self) -> None:
+        self.session, self.key, self.originated = KEYLESS, b"", bytes(8)
+
+    def encode(self, wall_ns: int) -> bytes:
+        reply = encode_timestamp_reply(wall_ns, self.originated)
+        return encode_message(self.session, self.key, NO_STREAM, 0, reply)
+
+
+class XrceSession(DeviceSession):
+    """State of one micro-ROS board, host side. All times are of one monotonic clock, in seconds.
+
+    | a client is   | until                                                                              |
+    |---------------|------------------------------------------------------------------------------------|
+    | created       | CREATE_CLIENT: it has no objects                                                   |
+    | announced     | nothing was created for QUIET_S, or it published: the hub knows its endpoints      |
+    | created again | the same key: its objects stay; another key: they go, and the next ones are awaited |
+    | resumed       | from a stored state: nothing is sent or passed on until its numbers fit            |
+    | gone          | DELETE of the client                                                               |
+    """
+
+    def __init__(
+        self,
+        framing: Framing,
+        payloads: Payloads,
+        *,
+        uart_bytes_s: int | None = None,
+        max_topics: int = 256,
+        velocity_stream: int = NO_STREAM,
+        state: SessionState | None = None,
+    ) -> None:
+        """`velocity_stream`: NO_STREAM or BEST_EFFORT, for clients that refuse messages without a number.
+
+        `state`: what an earlier session with a board of this address had.
+        """
+        self._time = _TimeAnswer()
+        control = ControlFrames(self._time.encode, b"", b"")
+        super().__init__(NAME, Outbox(control, uart_bytes_s=uart_bytes_s, encode=self._encode))
+        self.quality = Quality()
+        self.state_version = 0  # changes when the state is worth storing
+        self._framing, self._payloads = framing, payloads
+        self._max_topics, self._velocity_stream = max_topics, velocity_stream
+        self._now_s = 0.0
+        self._clients: dict[tuple[int, bytes], XrceClient] = {}
+        self._replaced: dict[int, tuple[bytes, float]] = {}  # session id -> key before the current one, since when
+        self._known: tuple[DeviceEndpoint, ...] = ()
+        self._by_key: dict[int, DeviceEndpoint] = {}
+        self._by_name: dict[tuple[str, int], DeviceEndpoint] = {}
+        self._refused: dict[int, HostlinkError] = {}
+        self._announce_s = math.inf  # when the endpoints are complete
+        self._is_restarted = False  # since the last announcement
+        self._acks: dict[tuple[int, bytes, int], None] = {}  # streams to acknowledge
+        self._calls: dict[int, deque[int]] = {}  # numbers of calls to a service of the device
+        self._call_number = 0
+        self._undecodable = 0
+        if state is not None:
+            self._resume(state)
+
+    # -- what the link reports ----------------------------------------------------------------------------------------
+
+    def open(self, *, now_s: float) -> list[events.Event]:
+        """Begin a new connection. A board speaks first."""
+        self._now_s = now_s
+        for client in self._clients.values():
+            client.begin(now_s)
+        return []
+
+    def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
+        """Process bytes from the device. What answers them is queued before this returns."""
+        self._now_s = now_s
+        self.counts.bytes_from_device += len(data)
+        found: list[events.Event] = []
+        messages = self._framing.feed(data)
+        for skipped in self._framing.skipped:
+            self._skip(skipped)
+        for each in messages:
+            message = decode_message(each)
+            if message is None:
+                self._skip(each)
+            else:
+                self.counts.frames_from_device += 1
+                self._read(message, now_s, found)
+        self._put_acks(now_s)
+        self._release(now_s)
+        return found
+
+    def tick(self, *, now_s: float) -> list[events.Event]:
+        """Do what is due by now. Call it at `deadline_s`."""
+        self._now_s = now_s
+        found: list[events.Event] = []
+        if now_s >= self._announce_s:
+            if any(each.is_creating for each in self._clients.values()):
+                self._announce_s = now_s + QUIET_S
+            else:
+                self._announce(found)
+        for client in list(self._clients.values()):
+            if now_s >= client.heartbeat_s:
+                self._put(client.due_heartbeat(now_s))
+            elif now_s >= client.silent_at_s(KEEPALIVE_S):
+                if self._is_replaced(client, now_s):
+                    self._remove(client)
+                    continue
+                self._put(client.message(NO_STREAM, client.heartbeat(now_s)))
+            if now_s >= client.repair_s and (repair := client.due_repair(now_s)):
+                self._put(repair)
+            if now_s >= client.ack_s:
+                client.ack_s = math.inf
+                self._acks |= {(client.session, client.id_key, stream): None for stream in client.inputs}
+            self._send_held(client, now_s)
+            self._repeat_zeros(client, now_s)
+        self._put_acks(now_s)
+        self._release(now_s)
+        return found
+
+    def deadline_s(self) -> float:
+        """Time at which `tick` must be called if no byte arrives before."""
+        deadline_s = self._announce_s
+        for client in self._clients.values():
+            deadline_s = min(deadline_s, client.heartbeat_s, client.ack_s, client.repair_s)
+            deadline_s = min(deadline_s, client.silent_at_s(KEEPALIVE_S))
+            if client.samples:
+                deadline_s = min(deadline_s, self._sample_due_s(client))
+            if client.held:
+                deadline_s = min(deadline_s, client.flying_until_s)
+            for zero in client.zeros.values():
+                deadline_s = min(deadline_s, zero.due_s)
+        return deadline_s
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether only a long silence is waited for."""
+        return self._announce_s == math.inf and not any(
+            min(each.heartbeat_s, each.ack_s, each.repair_s) < math.inf or each.samples or each.held or each.zeros
+            for each in self._clients.values()
+        )
+
+    @property
+    def is_regular(self) -> bool:
+        """Whether the board answers a HEARTBEAT, as a live client with a reliable stream does."""
+        return any(each.has_answered for each in self._clients.values())
+
+    def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
+        """Remove and return the next frame. None: the queues are empty, or the device's UART is busy."""
+        self._now_s = now_s
+        return super().pop_frame(now_s=now_s, wall_ns=wall_ns)
+
+    @property
+    def bad_checksums(self) -> int:
+        """Number of serial frames with a wrong checksum."""
+        return self._framing.bad_checksums
+
+    @property
+    def wrong_sizes(self) -> int:
+        """Number of messages that are not of their type."""
+        return self._undecodable
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Number of rejected frames, by cause."""
+        framing = self._framing
+        found = {"checksum": framing.bad_checksums, "length": framing.bad_lengths, "wrong_size": self._undecodable}
+        return {cause: count for cause, count in found.items() if count}
+
+    def too_small(self, least_bytes: Callable[[str], int]) -> list[str]:
+        """Say which topics are longer than a message and are published without acknowledgement: none arrives."""
+        found: list[str] = []
+        for client in self._clients.values():
+            for each in client.objects.endpoints():
+                if each.kind == ObjectKind.DATAWRITER and not each.is_reliable:
+                    name, type_ = client.objects.name_and_type(each)
+                    room_bytes = client.mtu - client.header_bytes - SUBHEADER_BYTES - REQUEST_BYTES
+                    if (size_bytes := least_bytes(type_)) > room_bytes:
+                        found.append(
+                            f"{name}: a message of at least {size_bytes} bytes, best effort takes {room_bytes}"
+                        )
+        return found
+
+    def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:  # noqa: ARG002 - each framing finds the next frame
+        """Number of bytes before the first whole frame: 0, because a reader finds it by itself, except on TCP."""
+        return 0
+
+    # -- what the device is -------------------------------------------------------------------------------------------
+
+    @property
+    def topics(self) -> tuple[DeviceEndpoint, ...]:
+        """The usable endpoints of the last announcement."""
+        return self._known
+
+    @property
+    def refusals(self) -> tuple[tuple[DeviceEndpoint, HostlinkError], ...]:
+        """Endpoints that cannot be used, with the reason."""
+        return tuple((self._by_key[key], reason) for key, reason in self._refused.items())
+
+    def is_refused(self, endpoint: DeviceEndpoint) -> bool:
+        """Whether this endpoint was refused because of its type."""
+        return endpoint.key in self._refused
+
+    def has(self, endpoint: DeviceEndpoint) -> bool:
+        """Whether the device still has this endpoint."""
+        return self._by_key.get(endpoint.key) == endpoint and self._object_of(endpoint) is not None
+
+    def may_have(self, endpoint: DeviceEndpoint) -> bool:
+        """Whether the device may still have this endpoint: its id has no other name or type now."""
+        now = self._by_key.get(endpoint.key)
+        return now is None or now.name == endpoint.name or now.type == endpoint.type
+
+    @property
+    def raw_endpoints(self) -> tuple[DeviceEndpoint, ...]:
+        """Endpoints whose messages are passed on as they are, because their type has no definition."""
+        return tuple(each for each in self._known if self._payloads.is_raw(each))
+
+    @property
+    def node(self) -> str:
+        """Name of the board's node, with its namespace if it has one; empty if it is unknown."""
+        return next((each.objects.node for each in self._clients.values() if each.objects.node), "")
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """Time from a HEARTBEAT to its answer: network and a turn of the board's loop; None if it is not measured."""
+        measured = [each for each in self._clients.values() if each.round_trips]
+        return max((each.round_trip_s for each in measured), default=None)
+
+    @property
+    def turn_s(self) -> float | None:
+        """Part of `round_trip_s` that is more than the shortest: what the board's loop adds."""
+        measured = [each for each in self._clients.values() if each.round_trips]
+        return max((each.round_trip_s - each.least_round_trip_s for each in measured), default=None)
+
+    @property
+    def resent(self) -> int:
+        """Number of messages that were sent to the device again."""
+        return sum(each.output.resent for each in self._clients.values())
+
+    @property
+    def too_long_messages(self) -> int:
+        """Number of messages that were dropped because the device's history does not hold all of their fragments."""
+        return sum(each.output.refused for each in self._clients.values())
+
+    @property
+    def excess_objects(self) -> int:
+        """Number of objects that were refused because the device has too many."""
+        return sum(each.objects.refused for each in self._clients.values())
+
+    def announcement(self, endpoints: Iterable[DeviceEndpoint]) -> bytes:
+        """Return messages that create these endpoints, for the beginning of a capture."""
+        clients = {client.slot: client for client in self._clients.values()}
+        by_slot: dict[int, list[DeviceEndpoint]] = {}
+        for each in endpoints:
+            by_slot.setdefault(_slot(each), []).append(each)
+        found: list[bytes] = []
+        for slot, of_client in by_slot.items():
+            client = clients.get(slot)
+            if client is not None:
+                found += _announce_client(client, of_client)
+        return b"".join(map(self._framing.encode, found))
+
+    def probe(self) -> None:
+        """Ask something that a working board answers (TopicsAnswered), at most once a second."""
+        now_s = self._now_s
+        for client in self._clients.values():
+            if client.is_confirmed and now_s - client.probed_s >= KEEPALIVE_S:
+                self._put(client.message(NO_STREAM, client.heartbeat(now_s)))
+                self.device_clock.topics_requested(now_s)
+
+    # -- what the hub sends -------------------------------------------------------------------------------------------
+
+    def publish(
+        self, topic: str, payload: bytes, *, depth: int = 1, is_urgent: bool = False, is_kept: bool = False
+    ) -> None:
+        """Queue a message to the device.
+
+        Raises:
+            UnknownTopic: the device does not subscribe to it.
+            WrongType: the payload is not one of the topic's type, or the topic was refused.
+            FrameTooLarge: the device has less room, or a stop would wait behind the message.
+        """
+        endpoint, client, content = self._to_endpoint("topic", topic, EndpointKind.SUBSCRIBER, payload)
+        if is_urgent:
+            message = self._velocity(client, endpoint, content)
+            client.zeros.pop(endpoint.id, None)
+            client.samples.pop(object_id(endpoint), None)
+            if client.is_slow and client.flying_until_s > self._now_s:
+                self.outbox.replaced += endpoint.id in client.held
+                client.held[endpoint.id] = (message, is_kept)
+            else:
+                self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)
+            return
+        self._check_room(client, endpoint, content)
+        waiting = client.samples.setdefault(object_id(endpoint), deque())
+        while len(waiting) >= depth:
+            waiting.popleft()
+            self.outbox.replaced += 1
+        waiting.append(content)
+        self._release(self._now_s)
+
+    def send_zero(self, endpoint: DeviceEndpoint, payload: bytes, *, is_kept: bool = False) -> bool:
+        """Queue a zero, and repeat it until the board has answered it. Return whether the device `may_have` it."""
+        client = self._client_of(endpoint)
+        if client is None or not self.may_have(endpoint):
+            return False
+        if endpoint.kind is not EndpointKind.SUBSCRIBER:  # a service that stops the device
+            self.call(endpoint.name, payload)
+            return True
+        client.held.pop(endpoint.id, None)
+        message = self._velocity(client, endpoint, self._translated(endpoint, payload))
+        client.zeros[endpoint.id] = Zero(message, self._now_s)
+        self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)
+        return True
+
+    def zero_frame(self, endpoint: DeviceEndpoint, payload: bytes) -> bytes:
+        """Return the bytes of a zero: a message without a number, which stays the same.
+
+        On a best-effort stream it has a number that no message has for a long time.
+        """
+        client = self._client_of(endpoint)
+        if client is None:
+            return b""
+        content = self._translated(endpoint, payload)
+        if endpoint.kind is not EndpointKind.SUBSCRIBER:  # a service that stops the device
+            content = _identity(0) + content
+        data = encode_data(client.request_of(object_id(endpoint)), object_id(endpoint), content)
+        number = 0
+        if self._velocity_stream != NO_STREAM:
+            number = number_after(client.numbers.get(self._velocity_stream, 0), FAR_NUMBERS)
+        return self._framing.encode(client.message(self._velocity_stream, data, number))
+
+    def endpoint_of(self, topic: str, payload: bytes) -> DeviceEndpoint:
+        """Return the endpoint of a topic to which the device subscribes. It takes messages as long as this one.
+
+        Raises:
+            HostlinkError: as from `publish`.
+        """
+        endpoint, client, content = self._to_endpoint("topic", topic, EndpointKind.SUBSCRIBER, payload)
+        self._check_room(client, endpoint, content)
+        return endpoint
+
+    def service_endpoint(self, service: str, payload: bytes) -> DeviceEndpoint:
+        """Return the endpoint that takes the requests to a service of the device. It takes one as long as this one.
+
+        Raises:
+            HostlinkError: as from `call`.
+        """
+        return self._to_service(service, payload)[0]
+
+    def call(self, service: str, payload: bytes) -> None:
+        """Queue a request to a service of the device.
+
+        Raises:
+            UnknownTopic: the device has no such service.
+            WrongType: the payload is not one of the request's type, or the service was refused.
+            FrameTooLarge: the device has less room, or a stop would wait behind the message.
+            DeviceBusy: too many requests and responses wait.
+        """
+        endpoint, client, content = self._to_service(service, payload)
+        self._check_prompt(endpoint, len(content))
+        waiting = self._calls.setdefault(endpoint.id, deque())
+        if len(waiting) >= CALLS_MAX:
+            raise DeviceBusy(service, len(waiting))
+        self._call_number += 1
+        self._put_sample(client, endpoint, _identity(self._call_number) + content)
+        waiting.append(self._call_number)
+
+    def response_endpoint(self, request: DeviceEndpoint) -> DeviceEndpoint:
+        """Return the endpoint at which the device receives the response to a request of this endpoint.
+
+        Raises:
+            UnknownTopic: the device announced no such endpoint.
+        """
+        response = request._replace(kind=EndpointKind.SERVICE_CLIENT_SUBSCRIBER)
+        if request.kind is not EndpointKind.SERVICE_CLIENT_PUBLISHER or self._by_key.get(response.key) != response:
+            raise UnknownTopic("endpoint for responses", request.name)
+        return response
+
+    def respond(self, response: DeviceEndpoint, payload: bytes | None) -> None:
+        """Queue a response to the oldest request of this endpoint.
+
+        `payload` is None when the layout is unknown. Then zeros are sent, as for rosserial.
+
+        Raises:
+            FrameTooLarge: the device has less room.
+            DeviceBusy: too many requests and responses wait.
+            UnknownTopic: the device waits for no response.
+        """
+        client = self._client_of(response)
+        waiting = None if client is None else client.calls.get(object_id(response))
+        if client is None or not waiting:
+            raise UnknownTopic("request", response.name)
+        content = bytes(ZEROS_BYTES) if payload is None else self._translated(response, payload)
+        self._check_room(client, response, content)
+        self._put_sample(client, response, waiting[0] + content)
+        waiting.popleft()
+
+    def room_bytes(self, endpoint: DeviceEndpoint) -> int:
+        """Longest payload that the device takes at an endpoint: in one message, or in as many as its history holds."""
+        client = self._client_of(endpoint)
+        if client is None:
+            return 0
+        before_bytes = REQUEST_BYTES + (SAMPLE_IDENTITY_BYTES if endpoint.kind is not EndpointKind.SUBSCRIBER else 0)
+        return client.room_bytes(object_id(endpoint)) - before_bytes
+
+    def answer_parameter(self, name: str, parameter: Parameter) -> None:
+        """Do nothing: a board asks for no parameters in this way."""
+
+    # -- endpoints ----------------------------------------------------------------------------------------------------
+
+    def _client_of(self, endpoint: DeviceEndpoint) -> XrceClient | None:
+        slot = _slot(endpoint)
+        return next((each for each in self._clients.values() if each.slot == slot and each.is_confirmed), None)
+
+    def _object_of(self, endpoint: DeviceEndpoint) -> XrceObject | None:
+        client = self._client_of(endpoint)
+        return None if client is None else client.objects.by_id.get(object_id(endpoint))
+
+    def _to_endpoint(
+        self, what: str, name: str, kind: EndpointKind, payload: bytes
+    ) -> tuple[DeviceEndpoint, XrceClient, bytes]:
+        """Return the endpoint of a name, its client, and the payload for it."""
+        endpoint = self._by_name.get((name, kind))
+        client = None if endpoint is None or self._object_of(endpoint) is None else self._client_of(endpoint)
+        if endpoint is None or client is None:
+            raise UnknownTopic(what, name, tuple(each.name for each in self._known if each.kind is kind))
+        if endpoint.key in self._refused:
+            raise self._refused[endpoint.key].with_traceback(None)  # otherwise the traceback grows with each raise
+        return endpoint, client, self._translated(endpoint, payload)
+
+    def _to_service(self, service: str, payload: bytes) -> tuple[DeviceEndpoint, XrceClient, bytes]:
+        found = self._to_endpoint("service", service, EndpointKind.SERVICE_SERVER_SUBSCRIBER, payload)
+        self._check_room(found[1], found[0], found[2])
+        return found
+
+    def _translated(self, endpoint: DeviceEndpoint, payload: bytes) -> bytes:
+        try:
+            return self._payloads.to_device(endpoint, payload)
+        except BadPayload as error:
+            raise WrongType(endpoint.name, endpoint.type, f"{len(payload)} bytes: {error}") from None
+
+    def _check_room(self, client: XrceClient, endpoint: DeviceEndpoint, content: bytes) -> None:
+        if len(content) > self.room_bytes(endpoint):
+            error = FrameTooLarge(endpoint.name, len(content), self.room_bytes(endpoint))
+            self.too_large = str(error)
+            raise error
+        if endpoint.kind is EndpointKind.SUBSCRIBER:
+            self._check_prompt(endpoint, len(content) + client.header_bytes + SUBHEADER_BYTES + REQUEST_BYTES)
+
+    def _check_prompt(self, endpoint: DeviceEndpoint, size_bytes: int) -> None:
+        """Raise FrameTooLarge if a message would delay a stop."""
+        if self.outbox.robot_moves and size_bytes > self.outbox.prompt_bytes:
+            raise FrameTooLarge(endpoint.name, size_bytes, int(self.outbox.prompt_bytes), when="while the robot moves")
+
+    def _velocity(self, client: XrceClient, endpoint: DeviceEndpoint, content: bytes) -> bytes:
+        """Return the message of a velocity, which has no acknowledgement and fits one message."""
+        data = encode_data(client.request_of(object_id(endpoint)), object_id(endpoint), content)
+        message = client.message(self._velocity_stream, data)
+        if len(message) > client.mtu:
+            raise FrameTooLarge(endpoint.name, len(message), client.mtu)
+        return message
+
+    # -- messages from the device -------------------------------------------------------------------------------------
+
+    def _skip(self, data: bytes) -> None:
+        self.counts.skipped_bytes += len(data)
+        self.foreign = (self.foreign + data)[-KEPT_BYTES:]
+
+    def _read(self, message: Message, now_s: float, found: list[events.Event]) -> None:
+        """Read one message: at once, in order, or not at all, as its stream has it."""
+        client = self._clients.get((message.session, message.key))
+        stream = message.stream
+        if client is not None:
+            client.note_heard(now_s)
+        if stream == NO_STREAM:
+            for each in self._submessages(message.body):
+                self._handle_plain(client, message, each, found)
+            return
+        if client is None:
+            self.counts.unknown_ids += 1
+            return
+        if client.is_reset_due:
+            self._settle_reset(client, message, now_s)
+        if stream < RELIABLE:
+            lossy = client.lossy_input(stream)
+            lost = -1 if lossy is None else lossy.lost_before(message.number)
+            if lost < 0:
+                self.quality.best_effort_late += 1
+                return
+            self.quality.best_effort_lost += lost
+            for each in self._submessages(message.body):
+                self._handle(client, stream, each, found)
+            return
+        reliable = client.input(stream)
+        if reliable is None:
+            self.counts.refused_frames += 1
+            return
+        client.note_message(now_s)
+        before = reliable.duplicates
+        bodies = reliable.receive(message.number, message.body)
+        self.quality.duplicates += reliable.duplicates - before
+        self._read_bodies(client, reliable, bodies, found)
+
+    def _read_bodies(
+        self,
+        client: XrceClient,
+        reliable: ReliableInput,
+        bodies: list[bytes],
+        found: list[events.Event],
+        *,
+        is_asked: bool = False,
+    ) -> None:
+        """Read the bodies of a reliable stream in order, and acknowledge them.
+
+        A part of a message, and what came in the wrong order, waits for a moment: a client that reads two ACKNACKs in
+        the wrong order forgets what it keeps, and sends everything again when something is missing.
+        """
+        bodies += reliable.give_up(self._now_s)
+        is_first_part = len(bodies) == 1 and bodies[0][:1] == FRAGMENT_BYTE and not bodies[0][1] & LAST_FRAGMENT
+        is_early = not is_asked and bool(is_first_part or reliable.missing())
+        if is_early:
+            client.ack_s = min(client.ack_s, self._now_s + ACK_S)  # the rest follows, or was only overtaken
+        else:
+            self._acks[client.session, client.id_key, reliable.stream] = None
+        for body in bodies:
+            for each in self._submessages(body):
+                if each.kind != Kind.FRAGMENT:
+                    reliable.fragments.end_skipping()
+                    self._handle(client, reliable.stream, each, found)
+                    continue
+                whole = reliable.fragments.add(each.payload, is_last=bool(each.flags & LAST_FRAGMENT))
+                for inner in self._submessages(whole) if whole is not None else ():
+                    self._handle(client, reliable.stream, inner, found)
+
+    def _submessages(self, body: bytes) -> list[Submessage]:
+        found, rest_bytes = decode_submessages(body)
+        self.counts.malformed += rest_bytes > 0
+        return found
+
+    def _handle_plain(
+        self, client: XrceClient | None, message: Message, submessage: Submessage, found: list[events.Event]
+    ) -> None:
+        """Handle a submessage on no stream. Some need no client."""
+        kind = submessage.kind
+        if kind == Kind.CREATE_CLIENT:
+            self._create_client(submessage)
+        elif kind == Kind.GET_INFO:
+            request = decode_request(submessage)
+            if request is None:
+                self.counts.malformed += 1
+                return
+            info = encode_info(*request, is_in_session=client is not None)
+            self._put(encode_message(message.session, message.key, NO_STREAM, 0, info))
+        elif kind == Kind.TIMESTAMP:
+            originated = decode_timestamp(submessage)
+            if originated is None:
+                self.counts.malformed += 1
+                return
+            self._time.session, self._time.key, self._time.originated = message.session, message.key, originated
+            self.outbox.put_time()
+            found.append(events.TimeRequested())
+        elif kind == Kind.DELETE and (request := decode_request(submessage)) is not None and request[1] == CLIENT_ID:
+            self._delete_client(client)
+            status = encode_status(*request, Status.OK)
+            self._put(encode_message(message.session, message.key, NO_STREAM, 0, status))
+        elif client is None:
+            self.counts.unknown_ids += 1
+        else:
+            self._handle(client, NO_STREAM, submessage, found)
+
+    def _handle(self, client: XrceClient, stream: int, submessage: Submessage, found: list[events.Event]) -> None:
+        """Handle a submessage of a client."""
+        kind = submessage.kind
+        if kind == Kind.WRITE_DATA:
+            self._take_data(client, submessage, found)
+        elif kind == Kind.ACKNACK and (told := decode_acknack(submessage)) is not None:
+            if told.stream == RELIABLE:
+                self._take_acknack(client, told, found)
+        elif kind == Kind.HEARTBEAT and (told := decode_heartbeat(submessage)) is not None:
+            reliable = client.input(told.stream) if told.stream >= RELIABLE else None
+            if reliable is not None:
+                bodies = reliable.heartbeat(told.first, told.second)
+                self._read_bodies(client, reliable, bodies, found, is_asked=True)
+        elif kind == Kind.READ_DATA and (wanted := decode_read(submessage)) is not None:
+            self._take_read(client, stream, wanted, submessage.payload)
+        elif kind in {Kind.CREATE, Kind.DELETE} and (request := decode_request(submessage)) is not None:
+            if kind == Kind.DELETE:
+                status = client.delete(request[1])
+            else:
+                new = decode_object(submessage)
+                status = Status.INVALID_DATA if new is None else client.objects.create(new, submessage.flags)
+                self.counts.malformed += new is None
+            client.note_creating(self._now_s)
+            if status in {Status.OK, Status.MATCHED}:
+                self._announce_s = self._now_s + QUIET_S
+            self._answer(client, stream, encode_status(*request, status))
+        else:
+            self.counts.malformed += 1
+
+    # -- clients ------------------------------------------------------------------------------------------------------
+
+    def _create_client(self, submessage: Submessage) -> None:
+        """Create a client, or find that it is an earlier one again."""
+        info = decode_client(submessage)
+        if info is None:
+            self.counts.malformed += 1
+            return
+        status: int = Status.OK
+        if info.version[:1] != VERSION[:1]:
+            status = Status.INCOMPATIBLE
+        elif info.mtu < MTU_MIN:
+            status = Status.INVALID_DATA
+        else:
+            known = self._clients.get((info.session, _id_key(info)))
+            if known is not None and known.info.key == info.key:
+                self._create_again(known, info)
+            elif self._is_late(info):
+                return
+            elif not self._add_client(info, known):
+                status = Status.RESOURCES
+        agent = encode_status_agent(status)
+        self._put(encode_message(info.session, info.key, NO_STREAM, 0, agent))
+
+    def _create_again(self, known: XrceClient, info: ClientInfo) -> None:
+        """Take a client's CREATE_CLIENT that is not its first: a repetition, or a new session of the same board."""
+        if not known.is_confirmed:
+            known.is_confirmed = True
+            known.reset_streams(self._now_s)
+            self._announce_s = self._now_s + QUIET_S
+        known.info = info
+        known.is_reset_due = bool(known.inputs or known.lossy_inputs or known.output.next)
+
+    def _is_late(self, info: ClientInfo) -> bool:
+        """Whether a CREATE_CLIENT is a late datagram of the session before."""
+        key, since_s = self._replaced.get(info.session, (b"", -math.inf))
+        return key == info.key and self._now_s - since_s < LATE_CREATION_S
+
+    def _add_client(self, info: ClientInfo, before: XrceClient | None) -> bool:
+        """Add a client in place of the one before it, if there is one. Return whether there is room."""
+        if before is None:
+            silent = [
+                each
+                for each in self._clients.values()
+                if self._now_s - each.heard_s >= RESTART_SILENCE_S
+                and (each.session == info.session or len(self._clients) >= CLIENTS_MAX)
+            ]
+            before = min(silent, key=_heard_s, default=None)
+        if before is not None:
+            self._replaced[info.session] = before.info.key, self._now_s
+            self._remove(before)
+            self.quality.restarts += 1
+        elif len(self._clients) >= CLIENTS_MAX:
+            return False
+        slot = min(set(range(CLIENTS_MAX)) - {each.slot for each in self._clients.values()})
+        client = XrceClient(
+            info,
+            slot,
+            max_endpoints=self._max_topics,
+            limit_bytes=self._framing.limit_bytes,
+            now_s=self._now_s,
+        )
+        client.note_creating(self._now_s)
+        self._clients[info.session, client.id_key] = client
+        return True
+
+    def _is_replaced(self, client: XrceClient, now_s: float) -> bool:
+        """Whether a client is silent, and a later one may be the same board after a restart."""
+        if now_s - client.heard_s < GONE_S:
+            return False
+        return any(
+            each.session == client.session and each.created_s > client.created_s for each in self._clients.values()
+        )
+
+    def _delete_client(self, client: XrceClient | None) -> None:
+        if client is not None:
+            self._remove(client)
+            self._announce_s = self._now_s + QUIET_S
+
+    def _remove(self, client: XrceClient) -> None:
+        """Remove a client. The hub keeps its endpoints until others are complete, or none come."""
+        del self._clients[client.session, client.id_key]
+        self.outbox.drop_messages()
+        self._is_restarted = True
+        self._announce_s = self._now_s + RESTART_SILENCE_S
+        for each in [each for each in self._calls if each >> SLOT_SHIFT == client.slot]:
+            del self._calls[each]
+
+    def _settle_reset(self, client: XrceClient, message: Message, now_s: float) -> None:
+        """Decide by the first number after a repeated CREATE_CLIENT whether the client began a new session."""
+        client.is_reset_due = False
+        reliable = client.inputs.get(message.stream)
+        if message.number == 0 or (reliable is not None and abs(distance(reliable.next, message.number)) > WINDOW):
+            client.reset_streams(now_s)
+            self.outbox.drop_messages()
+            self._is_restarted = True
+            self._announce_s = now_s + QUIET_S
+
+    # -- what a client requests and sends -----------------------------------------------------------------------------
+
+    def _take_read(self, client: XrceClient, stream: int, wanted: ReadRequest, payload: bytes) -> None:
+        id_ = wanted.object_id
+        if id_ not in client.objects.by_id:
+            self._answer(client, stream, encode_status(wanted.request, id_, Status.UNKNOWN_REFERENCE))
+            return
+        client.readings[id_] = Reading(wanted, self._now_s)
+        client.reads.pop(id_, None)
+        if wanted.samples == UNLIMITED and not wanted.seconds:
+            client.reads[id_] = payload
+        self.state_version += 1
+
+    def _take_data(self, client: XrceClient, submessage: Submessage, found: list[events.Event]) -> None:
+        """Take a message, a request or a response."""
+        request = decode_request(submessage)
+        if request is None or submessage.flags & FORMAT or not submessage.flags & LITTLE:
+            self.counts.malformed += 1
+            return
+        written = client.objects.by_id.get(request[1])
+        if written is None or written.kind not in ENDPOINTS or written.kind == ObjectKind.DATAREADER:
+            self.counts.unknown_ids += 1
+            found.append(events.UnknownTopicUsed(request[1]))
+            return
+        id_ = endpoint_id(client.slot, written.id)
+        endpoint = self._by_key.get(id_) if self._announce_s == math.inf else None
+        if endpoint is None:
+            endpoint = DeviceEndpoint(ENDPOINTS[written.kind][0], id_, *client.objects.name_and_type(written))
+        if not client.is_confirmed:
+            self._weigh(client, endpoint, submessage.payload, found)
+            return
+        if self._announce_s < math.inf and self._by_key.get(endpoint.key) != endpoint:
+            self._announce(found)
+        content = submessage.payload[REQUEST_BYTES:]
+        if written.kind == ObjectKind.REQUESTER:
+            self._take_request(client, endpoint, submessage.payload, found)
+        elif self._by_key.get(endpoint.key) != endpoint or endpoint.key in self._refused:
+            self.counts.refused_frames += 1
+        elif written.kind == ObjectKind.REPLIER:
+            self._take_response(endpoint, content, found)
+        else:
+            payload = self._payload(endpoint, content)
+            if payload is not None:
+                found.append(events.MessageReceived(endpoint, payload))
+
+    def _payload(self, endpoint: DeviceEndpoint, content: bytes) -> bytes | None:
+        """Translate what a device sends; None if it is not of its type."""
+        try:
+            return self._payloads.from_device(endpoint, content)
+        except BadPayload:
+            self._undecodable += 1
+            return None
+
+    def _take_request(
+        self, client: XrceClient, endpoint: DeviceEndpoint, payload: bytes, found: list[events.Event]
+    ) -> None:
+        """Take a request of the device, also of a refused type: it waits for a response."""
+        if self._by_key.get(endpoint.key) != endpoint:
+            self.counts.refused_frames += 1
+            return
+        content = payload[REQUEST_BYTES:]
+        translated = content if endpoint.key in self._refused else self._payload(endpoint, content)
+        waiting = client.calls.setdefault(object_id(endpoint), deque())
+        if translated is None or len(waiting) >= CALLS_MAX:
+            self.counts.refused_frames += 1
+            return
+        waiting.append(payload[:REQUEST_BYTES])
+        found.append(events.ServiceRequested(endpoint, translated))
+
+    def _take_response(self, endpoint: DeviceEndpoint, content: bytes, found: list[events.Event]) -> None:
+        """Take the response to a call. Those before it are no longer answered."""
+        waiting = self._calls.get(endpoint.id, deque())
+        number = int.from_bytes(content[SAMPLE_IDENTITY_BYTES - 4 : SAMPLE_IDENTITY_BYTES], "little")
+        if content[:SAMPLE_IDENTITY_BYTES] != _identity(number) or number not in waiting:
+            self.counts.refused_frames += 1
+            return
+        while waiting.popleft() != number:
+            self.counts.refused_frames += 1
+        payload = self._payload(endpoint, content[SAMPLE_IDENTITY_BYTES:])
+        if payload is not None:
+            found.append(events.ServiceResponded(endpoint, payload))
+
+    def _take_acknack(self, client: XrceClient, told: Range, found: list[events.Event]) -> None:
+        now_s = self._now_s
+        if not client.output.is_known and not 0 <= distance(client.output.first, told.first) <= RESUMED_NUMBERS_MAX:
+            self._discard(client)
+            return
+        again, mark = client.acknowledge(told, now_s)
+        for each in again:
+            client.note_provoked(now_s)
+            self._put(each)
+        client.note_answered(mark)
+        self._send_held(client, now_s)
+        asked_at_s = self.device_clock.topics_answered(now_s)
+        if asked_at_s is not None:
+            found.append(events.TopicsAnswered(asked_at_s))
+        if not client.is_confirmed:
+            self._confirm(client, found)
+
+    # -- announcing the endpoints -------------------------------------------------------------------------------------
+
+    def _announce(self, found: list[events.Event]) -> None:
+        """Report the endpoints that the clients have created so far."""
+        self._announce_s = math.inf
+        before, is_restarted = self._known, self._is_restarted
+        self._is_restarted = False
+        self._by_key.clear()
+        self._by_name.clear()
+        self._refused.clear()
+        self._payloads.forget()
+        known: list[DeviceEndpoint] = []
+        for endpoint in self._endpoints():
+            if len(self._by_key) >= self._max_topics:
+                self.counts.excess_topics += 1
+                continue
+            self._by_key[endpoint.key] = endpoint
+            self._by_name.setdefault((endpoint.name, endpoint.kind), endpoint)
+            try:
+                self._payloads.check(endpoint)
+            except WrongType as error:
+                self._refused[endpoint.key] = error
+                found.append(events.TopicRefused(endpoint, error))
+            else:
+                known.append(endpoint)
+        self._known = tuple(known)
+        is_changed = self._known != before or is_restarted
+        if is_changed or not self.counts.negotiations:
+            self.counts.negotiations += 1
+            self.state_version += 1
+            found.append(events.TopicsNegotiated(self._known, is_changed, gap_at=None))
+
+    def _endpoints(self) -> Iterable[DeviceEndpoint]:
+        for client in self._clients.values():
+            if client.is_confirmed:
+                for each in client.objects.endpoints():
+                    name, type_ = client.objects.name_and_type(each)
+                    for kind in ENDPOINTS[each.kind]:
+                        yield DeviceEndpoint(kind, endpoint_id(client.slot, each.id), name, type_)
+
+    # -- answers and messages to the device ---------------------------------------------------------------------------
+
+    def _answer(self, client: XrceClient, stream: int, answer: bytes) -> None:
+        """Queue the answer to a request, on a stream like that of the request."""
+        if stream >= RELIABLE:
+            if len(client.waiting) < WAITING_MAX:
+                client.waiting.append(answer)
+        elif stream == NO_STREAM:
+            self._put(client.message(NO_STREAM, answer))
+        else:
+            self._put(client.message(BEST_EFFORT, answer))
+
+    def _put(self, message: bytes) -> None:
+        self.outbox.put_answer(ANSWERS, message, depth=WAITING_MAX)
+
+    def _put_acks(self, now_s: float) -> None:
+        """Queue one ACKNACK for each stream that needs it. It replaces one that waits."""
+        for session, key, stream in self._acks:
+            client = self._clients.get((session, key))
+            reliable = None if client is None else client.inputs.get(stream)
+            if client is not None and reliable is not None and reliable.fits:
+                message = client.message(NO_STREAM, client.acknack(reliable, now_s))
+                self.outbox.put_answer((session, key, stream), message, depth=1)
+        self._acks.clear()
+
+    def _release(self, now_s: float) -> None:
+        """Queue what the clients' history, their requests and the pace they want permit now."""
+        for client in self._clients.values():
+            is_released = True
+            while is_released:
+                for each in client.due_messages(now_s):
+                    self._put(each)
+                is_released = bool(client.samples) and not client.waiting and self._release_sample(client, now_s)
+
+    def _release_sample(self, client: XrceClient, now_s: float) -> bool:
+        """Queue one message for a reader that wants it now. Return whether there was one."""
+        for id_, waiting in list(client.samples.items()):
+            reading = client.readings.get(id_)
+            if reading is None or (reading.due_s() > now_s and not reading.is_over(now_s)):
+                continue
+            if reading.is_over(now_s):
+                self.quality.unread += len(waiting)
+                del client.samples[id_]
+                continue
+            output = client.output
+            if reading.stream >= RELIABLE and not output.has_room:
+                continue
+            data = encode_data(reading.request, id_, waiting[0])
+            bodies = client.bodies(data) if reading.stream >= RELIABLE else []
+            if len(bodies) > output.window and output.is_waiting:
+                continue
+            content = waiting.popleft()
+            if not waiting:
+                del client.samples[id_]
+            reading.note_sent(len(content), now_s)
+            if len(bodies) > output.window:
+                output.begin_trial(bodies)
+                self._put(client.tried(now_s))
+                client.plan_heartbeat(now_s)
+            elif bodies:
+                client.waiting += bodies
+            else:
+                message = client.message(reading.stream, data)
+                self.outbox.put_command(endpoint_id(client.slot, id_), message, depth=WAITING_MAX)
+            return True
+        return False
+
+    def _put_sample(self, client: XrceClient, endpoint: DeviceEndpoint, content: bytes) -> None:
+        """Queue a request or a response. None replaces another."""
+        waiting = client.samples.setdefault(object_id(endpoint), deque())
+        if len(waiting) >= CALLS_MAX:
+            raise DeviceBusy(endpoint.name, len(waiting))
+        waiting.append(content)
+        self._release(self._now_s)
+
+    def _sample_due_s(self, client: XrceClient) -> float:
+        """Time at which the pace that a reader wants permits the next message."""
+        readings = (client.readings.get(each) for each in client.samples)
+        due = (each.due_s() for each in readings if each is not None)
+        return min((each for each in due if each > self._now_s), default=math.inf)
+
+    def _send_held(self, client: XrceClient, now_s: float) -> None:
+        """Queue the velocities that waited for the one in flight, if it has arrived or was lost."""
+        if client.held and now_s >= client.flying_until_s:
+            for each, (message, is_kept) in client.held.items():
+                self.outbox.put_urgent(each, message, is_kept=is_kept)
+            client.held.clear()
+
+    def _repeat_zeros(self, client: XrceClient, now_s: float) -> None:
+        for each, zero in list(client.zeros.items()):
+            if now_s >= zero.until_s:
+                del client.zeros[each]
+            elif now_s >= zero.due_s:
+                zero.due_s = now_s + REPEAT_S  # or later, when it is sent
+                self.outbox.put_urgent(each, zero.message)
+
+    def _encode(self, message: bytes) -> bytes:
+        """Return the bytes of a message that is sent now: with its number, and with what repairs losses."""
+        stream, session = message[1], message[0]
+        key = message[4:8] if session < KEYLESS else b""
+        client = self._clients.get((session, key))
+        if client is not None and stream < RELIABLE:
+            start = client.header_bytes
+            if message[start] == Kind.DATA:
+                message = self._accompanied(client, message[:start], message[start:])
+            if stream != NO_STREAM:
+                message = client.stamped(message)
+        return self._framing.encode(message)
+
+    def _accompanied(self, client: XrceClient, head: bytes, data: bytes) -> bytes:
+        """Return a message with an ACKNACK and a HEARTBEAT before its data, if they are due and there is room."""
+        now_s = self._now_s
+        room_bytes = client.mtu - len(head) - len(data)
+        parts: list[bytes] = []
+        if room_bytes >= EXTRA_BYTES and client.is_repair_due(now_s):
+            parts.append(client.acknack(client.inputs[RELIABLE], now_s, is_repair=True))
+            room_bytes -= EXTRA_BYTES
+        zeros = [each for each in client.zeros.values() if each.message == head + data]
+        for each in zeros:
+            each.due_s = now_s + max(REPEAT_S, 1.5 * client.round_trip_s)
+        if (
+            room_bytes >= EXTRA_BYTES
+            and client.output.is_known
+            and (zeros or client.is_slow or client.is_probe_due(now_s))
+        ):
+            parts.append(client.heartbeat(now_s))
+            for each in zeros:
+                each.mark = each.mark or client.mark
+            if client.is_slow:
+                client.note_flying(client.mark, now_s)
+        return head + join_submessages(*parts, data)
+
+    # -- going on after a restart of the host -------------------------------------------------------------------------
+
+    def state(self) -> SessionState:
+        """Return what a later session needs to go on. It changed when `state_version` did."""
+        return SessionState(
+            tuple(
+                ClientState(
+                    each.info,
+                    each.output.first,
+                    tuple(one.payload for one in each.objects.by_id.values()),
+                    tuple(payload for id_, payload in each.reads.items() if id_ in each.objects.by_id),
+                )
+                for each in self._clients.values()
+                if each.is_confirmed
+            )
+        )
+
+    def _resume(self, state: SessionState) -> None:
+        """Restore the clients of a state. Nothing is passed on and sent until a client's numbers fit."""
+        for info, number, objects, reads in state.clients[:CLIENTS_MAX]:
+            if info.mtu < MTU_MIN or not self._add_client(info, None):
+                continue
+            client = self._clients[info.session, _id_key(info)]
+            client.is_confirmed, client.is_resumed = False, True
+            client.repair_s = math.inf
+            client.output = ReliableOutput(first=number, is_known=False)
+            for payload in objects:
+                new = decode_object(Submessage(Kind.CREATE, LITTLE, bytes(2) + payload))
+                if new is not None:
+                    client.objects.create(new, 0)
+            for payload in reads:
+                wanted = decode_read(Submessage(Kind.READ_DATA, LITTLE, payload))
+                if wanted is not None:
+                    client.readings[wanted.object_id] = Reading(wanted, self._now_s)
+                    client.reads[wanted.object_id] = payload
+
+    def _weigh(self, client: XrceClient, endpoint: DeviceEndpoint, payload: bytes, found: list[events.Event]) -> None:
+        """Take a message of a resumed client as evidence: it is of an object that it created, and of its type."""
+        try:
+            self._payloads.check(endpoint)
+            self._payloads.from_device(endpoint, payload[REQUEST_BYTES:])
+        except HostlinkError:
+            self._discard(client)
+            return
+        if self._now_s >= client.created_s + ACKNOWLEDGING_S:
+            client.evidence += 1
+        if client.evidence >= EVIDENCE:
+            self._confirm(client, found)
+
+    def _confirm(self, client: XrceClient, found: list[events.Event]) -> None:
+        client.is_confirmed = True
+        self.quality.resumed += 1
+        self._announce(found)
+
+    def _discard(self, client: XrceClient) -> None:
+        """Drop a resumed client: another board is at its address, or it has begun anew."""
+        del self._clients[client.session, client.id_key]
+        self.state_version += 1
+
+
+# -- ids --------------------------------------------------------------------------------------------------------------
+
+SLOT_SHIFT: Final = 14
+EXTRA_BYTES: Final = 12  # an ACKNACK or a HEARTBEAT with its padding
+_KIND_BITS: Final = 2
+
+
+def endpoint_id(slot: int, object_id: int) -> int:
+    """Return the id of an endpoint: two bits for the client, twelve for the object's number, two for its kind."""
+    return slot << SLOT_SHIFT | object_id >> 4 << _KIND_BITS | kind_of(object_id) - ObjectKind.DATAWRITER
+
+
+def object_id(endpoint: DeviceEndpoint) -> int:
+    """Return the id of an endpoint's object."""
+    number = endpoint.id & (1 << SLOT_SHIFT) - 1
+    return number >> _KIND_BITS << 4 | (number & (1 << _KIND_BITS) - 1) + ObjectKind.DATAWRITER
+
+
+def _slot(endpoint: DeviceEndpoint) -> int:
+    return endpoint.id >> SLOT_SHIFT
+
+
+def _id_key(info: ClientInfo) -> bytes:
+    return info.key if info.session < KEYLESS else b""
+
+
+def _heard_s(client: XrceClient) -> float:
+    return client.heard_s
+
+
+def _identity(number: int) -> bytes:
+    """Return the identity of a call: a writer, and the call's number."""
+    return b"hostlink".ljust(20, b"\0") + number.to_bytes(4, "little")
+
+
+def _announce_client(client: XrceClient, endpoints: list[DeviceEndpoint]) -> list[bytes]:
+    """Return the messages that create a client and these endpoints, on no stream."""
+    info = client.info
+    creation = 0 if info.session < KEYLESS else KEYLESS
+    found = [encode_message(creation, info.key, NO_STREAM, 0, encode_client(info))]
+    for each in {each.id: each for each in endpoints}.values():
+        id_ = object_id(each)
+        found += [
+            client.message(NO_STREAM, encode_submessage(Kind.CREATE, bytes(2) + one.payload, CREATED))
+            for one in client.objects.with_parents(id_)
+        ]
+        if id_ in client.reads:
+            found.append(client.message(NO_STREAM, encode_submessage(Kind.READ_DATA, client.reads[id_])))
+    return found
