@@ -187,7 +187,7 @@ class RemoteRobot(AnyRobot, ProvidedRobot):
         if lock_reason is not None and admission.lock_reason != lock_reason:
             admission.lock(lock_reason, now_s)
         elif lock_reason is None and admission.lock_reason is not None:
-            admission.unlock(now_s)
+            admission.unlock(now_s, came_s=self._gates.came_s(now_s))
         elif self._epoch is not None and epoch is not None and epoch > self._epoch:
             admission.interrupt(now_s)
         if epoch is not None:  # a state may be older than an answer
@@ -212,7 +212,8 @@ class RemoteRobot(AnyRobot, ProvidedRobot):
             self.link = RemoteLink(self._new_number(), own_number)
             is_resumed = epoch is not None and epoch == self._epoch
             self.admission.resume_after_reconnect_s = math.inf if is_resumed else 0.0
-            if self.admission.connect(loop_time_s()):
+            now_s = loop_time_s()
+            if self.admission.connect(now_s, came_s=self._gates.came_s(now_s)):
                 self.resumed_link = self.link.number
             self._epoch = epoch  # also if it is lower: the host may have restarted
 
