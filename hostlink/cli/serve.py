@@ -17,10 +17,11 @@ from hostlink.cli.ending import stop_signals
 from hostlink.cli.garbage import collect_while_idle, return_large_blocks, shorten_pauses
 from hostlink.cli.library_logs import complaints_logged
 from hostlink.cli.output import quantity, write, write_error
+from hostlink.cli.start import importing_fast
 from hostlink.cli.systemd import Notifier
 from hostlink.components.gateway.settings import ApiAddress
 from hostlink.core import running as core
-from hostlink.core.components import Make
+from hostlink.core.components import Make, chosen_components
 from hostlink.core.config import Config
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.hub.gates import Guard
@@ -98,6 +99,16 @@ async def running(
     log.info("daemon.stopped")
 
 
+def import_components(config: Config) -> None:
+    """Import the components that run.
+
+    Raises:
+        ConfigError: one is not installed, or cannot be imported.
+    """
+    with importing_fast():
+        chosen_components(config, USUAL)
+
+
 def run(
     config: Config,
     listening: Sequence[socket.socket],
@@ -112,6 +123,7 @@ def run(
         ConfigError: the settings cannot be served.
     """
     try:
+        import_components(config)
         for warning in asyncio.run(check(config, descriptors=limit(), is_listening=bool(listening))):
             log.warning("config.suspicious", reason=warning)
         read_again = None if read is None else (lambda: fitted(read(), limit()))

@@ -18,6 +18,7 @@ from hostlink.core.config import ApiConfig, BlackBoxConfig, Config, LinkConfig, 
 from hostlink.core.host import Host
 from hostlink.core.hub.hub import Hub
 from hostlink.core.robot.events import OWNER_LEFT
+from hostlink.core.running import serving
 from hostlink.errors import ConfigError
 from tests.support.daemon import Daemon, daemon, stops_of
 from tests.support.fake_device import fake_device, robot_topics
@@ -223,3 +224,14 @@ async def test_gateway_without_a_recorder_says_so() -> None:
             while b"event: recordings" not in text:
                 text += await response.content.readany()
         assert findings(host.hub) == {}
+
+
+async def test_python_program_with_the_core_has_a_gateway_if_its_settings_say_so() -> None:
+    port = free_port()
+    config = Config(
+        tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=port), components={"gateway": True}, guardian=False
+    )
+    async with serving(config) as host, aiohttp.ClientSession() as session:
+        assert host.offered(ApiAddress) == ApiAddress(f"http://127.0.0.1:{port}")
+        async with session.get(f"http://127.0.0.1:{port}/api/robots") as response:
+            assert await response.json() == {"robots": []}

@@ -16,7 +16,7 @@ import msgspec
 from aiohttp import web
 
 from hostlink.components.gateway.bodies import decode_body
-from hostlink.components.gateway.recordings import find_file, of_recorder, send_file
+from hostlink.components.gateway.recordings import find_file, needing_recorder, of_recorder, send_file
 from hostlink.components.gateway.routes import BODY, FILE, Route, reply, reply_encoded
 from hostlink.components.gateway.views import utc_text
 from hostlink.components.recorder.black_box import MAX_DETAIL, BlackBox
@@ -174,7 +174,7 @@ class HistoryRoutes:
 
     def routes(self) -> list[Route]:
         """Return the routes."""
-        return [
+        routes = [
             Route(
                 "/api/recordings/{name}/history",
                 self._of_recording,
@@ -193,6 +193,9 @@ class HistoryRoutes:
             ),
             Route("/api/incidents/{name}", self._file, None, media_type=FILE),
             Route("/api/incidents/{name}/history", self._of_incident, IncidentHistoryView),
+        ]
+        return [
+            *needing_recorder(routes),
             Route("/api/history", self._of_fleet, HistoriesView),
             Route("/api/robots/{name}/history", self._of_robot, HistoryView),
         ]

@@ -1,8 +1,9 @@
 """Recordings over REST: start, stop, list, download and remove them."""
 
 import asyncio
+import dataclasses
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated, NotRequired, TypedDict, TypeVar
@@ -89,6 +90,11 @@ def of_recorder(host: Host, kind: type[Service]) -> Service:
     return found
 
 
+def needing_recorder(routes: Iterable[Route]) -> list[Route]:
+    """Return the routes with the status of an answer without a recorder."""
+    return [dataclasses.replace(route, fails=(*route.fails, HTTPStatus.SERVICE_UNAVAILABLE)) for route in routes]
+
+
 class RecordingRoutes:
     """The routes of recordings."""
 
@@ -103,7 +109,7 @@ class RecordingRoutes:
         """Return the routes."""
         path = "/api/recordings"
         one = f"{path}/{{name}}"
-        return [
+        routes = [
             Route(path, self._all, RecordingsView),
             Route(
                 path,
@@ -134,6 +140,7 @@ class RecordingRoutes:
             Route(f"{one}/stop", self._stop, RecordingView, method="POST", role=Role.DRIVE),
             Route(one, self._remove, RemovedView, method="DELETE", role=Role.DRIVE, fails=(_BUSY,)),
         ]
+        return needing_recorder(routes)
 
     async def _all(self, _: web.Request) -> web.Response:
         """Running recordings, and the files."""

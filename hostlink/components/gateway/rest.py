@@ -384,7 +384,7 @@ class Rest:
             Route("/api/devices", self._devices, DevicesView),
             Route("/api/topics", self._topics, TopicsView),
             Route("/api/clients", self._all_clients, ClientsView),
-            Route("/api/drives", self._all_drives, DrivesView, fails=(BAD_REQUEST,)),
+            Route("/api/drives", self._all_drives, DrivesView, fails=(BAD_REQUEST, UNAVAILABLE)),
             Route("/api/listening", self._listening, ListeningView),
             Route("/api/diagnosis", self._diagnosis, DaemonDiagnosisView),
             Route(
