@@ -167,12 +167,16 @@ async def test_recorder_that_fails_ends_its_files_and_records_again(recorder_fau
     assert all((tmp_path / f"run_{run}.mcap").read_bytes().endswith(b"\x89MCAP0\r\n") for run in (1, 2))
 
 
-async def test_robots_are_held_without_a_recorder_that_cannot_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("has_black_box", [True, False])
+async def test_robots_are_held_without_a_recorder_that_cannot_begin(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, has_black_box: bool
+) -> None:
     async def fail(_: Recordings) -> None:
         raise ValueError("a fault of the test")
 
     monkeypatch.setattr(Recordings, "open", fail)
-    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+    config = Config(recording=RecordingConfig(folder=tmp_path))
+    async with daemon(config, has_black_box=has_black_box) as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.has("robot_0"))
         assert findings(host.hub) == {"recorder": "component_failed"}
         assert [each["name"] for each in (await host.get("/api/robots"))["robots"]] == ["robot_0"]
