@@ -4,12 +4,13 @@ A component offers the robots to something outside: a broker, a cloud, a display
 `hostlink.errors`. Methods are synchronous and belong to the event loop, unless they are declared with `async`.
 """
 
+import asyncio
 import contextlib
 import itertools
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import AbstractContextManager
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 from weakref import WeakValueDictionary
 
 import structlog
@@ -36,7 +37,7 @@ from hostlink.core.hub.remote_robots import RemoteRobots
 from hostlink.core.hub.robot_handle import Measured, RecordedMotion, RobotHandle
 from hostlink.core.hub.robot_topic_publisher import own_topics
 from hostlink.core.hub.robots_here import RobotHere, RobotsHere
-from hostlink.core.hub.shared import DAEMON
+from hostlink.core.hub.shared import DAEMON, Offered
 from hostlink.core.hub.standstills import MAX_WAIT_S, WAIT_S, own_services
 from hostlink.core.hub.stops import Stops
 from hostlink.core.hub.subscription import Subscription
@@ -107,7 +108,7 @@ __all__ = [
     "to_parameter",
 ]  # fmt: skip
 
-API_VERSION = (1, 1)  # the second number grows with what is added, the first with what is removed or changed
+API_VERSION = (1, 2)  # the second number grows with what is added, the first with what is removed or changed
 
 log = structlog.get_logger()
 Settings = TypeVar("Settings")
@@ -129,16 +130,30 @@ class TopicSource(NamedTuple):
     is_elsewhere: bool  # only other graphs publish it and no device takes it, or it is of a robot of another daemon
 
 
+class RunWork(Protocol):
+    """Run work as long as a component. A failure ends the component, or this work alone, if it is not vital."""
+
+    def __call__(self, work: Coroutine[Any, Any, object], part: str, *, is_vital: bool) -> None: ...
+
+
 class Component(Generic[Settings]):
     """Base of a component. One instance is made for each start of `run`.
 
     `name` is that of its table in hostlink.toml, and `settings_type` a dataclass of the table's keys. `log_events`
     lists the events that it logs by `host.log`, without its name: {"connected": "the broker accepted the connection"}.
+
+    `begins_first`: it begins before the first device is accepted, and ends after the others. The daemon waits until it
+    calls `host.ready`, or has failed; a `ConfigError` before its first `ready` ends the daemon. Of those that begin
+    first, one begins after those that it `uses`, and ends before them. `tables` is for hostlink's own components that
+    are older than tables by their name: these tables are theirs, and each field of `settings_type` is a table.
     """
 
     name: ClassVar[str]
     settings_type: ClassVar[type]
     log_events: ClassVar[Mapping[str, str]] = {}
+    begins_first: ClassVar[bool] = False
+    uses: ClassVar[tuple[str, ...]] = ()
+    tables: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -170,12 +185,14 @@ class Host:
         self,
         hub: Hub,
         name: str,
-        spawn: Callable[[Coroutine[Any, Any, object], str], None],
+        spawn: RunWork,
         counts: Counter[str],
         kept: dict[str, Any] | None = None,
+        ready: asyncio.Event | None = None,
     ) -> None:
-        """`spawn` runs work as long as the component. `counts` and `kept` are of all its runs."""
+        """`spawn` runs work as long as the component. `counts`, `kept` and `ready` are of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
+        self._offers: list[object] = []
         # One that the hub and the component have let go of is not kept, nor what its callbacks refer to.
         self._participants: WeakValueDictionary[int, Participant] = WeakValueDictionary()
         self._numbers = itertools.count(1)
@@ -193,6 +210,7 @@ class Host:
         self._kept = {} if kept is None else kept
         self._remote: list[RemoteRobots] = []
         self._here: RobotsHere | None = None
+        self._ready = ready
         self.log = log.bind(component=name)
 
     # -- robots -------------------------------------------------------------------------------------------------------
@@ -486,7 +504,7 @@ class Host:
         """
 
         def fail(error: Exception) -> None:
-            self._spawn(_raise(error), "provider of robots")
+            self._spawn(_raise(error), "provider of robots", is_vital=True)
 
         robots = RemoteRobots(
             self._hub.robots, self._hub.gates, self._hub.topics, Provision(provider, self._name, fail)
@@ -528,9 +546,29 @@ class Host:
         """The event loop's time, in seconds: that of `received_s` and of `RobotEvent.at_s`."""
         return loop_time_s()
 
-    def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> None:
-        """Run work at the same time as `run`. A failure of it is a failure of the component."""
-        self._spawn(work, name)
+    def spawn(self, work: Coroutine[Any, Any, object], *, name: str, is_vital: bool = True) -> None:
+        """Run work at the same time as `run`. A failure of it is a failure of the component, if it `is_vital`.
+
+        Otherwise a failure is logged, counted, and ends nothing else: of one connection among many.
+        """
+        self._spawn(work, name, is_vital=is_vital)
+
+    def ready(self) -> None:
+        """Tell that the component works now, if it `begins_first`."""
+        if self._ready is not None:
+            self._ready.set()
+
+    def offer(self, service: object) -> None:
+        """Let other components find `service` by its type, until the run ends. A later one of its type replaces it."""
+        self._offers.append(service)
+        self._hub.offers[type(service)] = service
+
+    def offered(self, kind: type[Offered]) -> Offered | None:
+        """Return what another component offers of this type; None: none does at present.
+
+        Ask for it at each use: a component that was started again offers another one.
+        """
+        return self._hub.offered(kind)
 
     def count(self, what: str, number: int = 1) -> None:
         """Add to a counter of the component, which GET /metrics shows."""
@@ -582,6 +620,9 @@ class Host:
             self.answer_parameters(None)
         if self._has_clock:
             self.set_clock(None)
+        for service in self._offers:
+            if self._hub.offers.get(type(service)) is service:
+                del self._hub.offers[type(service)]
         for prepare in self._prepares:
             self._hub.reloader.prepares.remove(prepare)
         self._prepares.clear()

@@ -15,10 +15,12 @@ from aiohttp import web
 from hostlink.components.gateway.access import GRANT, caller_name
 from hostlink.components.gateway.bodies import convert_velocity, decode_body, whole_number
 from hostlink.components.gateway.clients import Clients, ClientView
+from hostlink.components.gateway.recordings import of_recorder
 from hostlink.components.gateway.routes import BODY, CAME, Route, error_status, error_view, refusal, reply
+from hostlink.components.gateway.settings import GatewaySettings
 from hostlink.components.gateway.views import Slices, VelocityAnswer, links_view, utc_text, velocity_answer
 from hostlink.components.recorder.drives import Drive, DriveLog
-from hostlink.core.config import Config, TcpConfig, UdpConfig
+from hostlink.core.config import TcpConfig, UdpConfig
 from hostlink.core.host import (
     LOCK_REASON,
     MAX_WAIT_S,
@@ -119,21 +121,21 @@ class DaemonDiagnosisView(TypedDict):
     arrivals: list[ArrivalView]
 
 
-def listening_text(listening: Listening, config: Config) -> str:
+def listening_text(listening: Listening, settings: GatewaySettings) -> str:
     """Describe where devices connect: `listening on TCP 0.0.0.0:11411, /dev/ttyACM0`."""
     addresses = (("TCP", listening.tcp), ("UDP", listening.udp))
     places = [f"{name} {spelled(*address)}" for name, address in addresses if address is not None]
-    places += [port.name for port in config.serial]
+    places += [port.name for port in settings.serial]
     return f"listening on {', '.join(places)}" if places else "listening on no port"
 
 
-def listening_view(listening: Listening, config: Config, address: str | None = None) -> ListeningView:
+def listening_view(listening: Listening, settings: GatewaySettings, address: str | None = None) -> ListeningView:
     """Return the addresses that devices connect to. `address` is this computer's in its network."""
     return {
         "tcp": _address(listening.tcp),
         "udp": _address(listening.udp),
-        "serial": [{"port": port.name, "bauds": list(port.bauds)} for port in config.serial],
-        "simulate": _simulate(listening.tcp, config.tcp) or _simulate(listening.udp, config.udp, " --udp"),
+        "serial": [{"port": port.name, "bauds": list(port.bauds)} for port in settings.serial],
+        "simulate": _simulate(listening.tcp, settings.tcp) or _simulate(listening.udp, settings.udp, " --udp"),
         "address": address,
     }
 
@@ -305,9 +307,8 @@ class ReadinessView(TypedDict):
 class Rest:
     """Handlers of the routes. Each calls the host and returns its result."""
 
-    def __init__(self, host: Host, config: Config, clients: Clients, owners: Owners, drives: DriveLog) -> None:
-        self._host, self._config, self._clients, self._owners = host, config, clients, owners
-        self._drives = drives
+    def __init__(self, host: Host, settings: GatewaySettings, clients: Clients, owners: Owners) -> None:
+        self._host, self._settings, self._clients, self._owners = host, settings, clients, owners
 
     def routes(self) -> list[Route]:
         """Return the routes."""
@@ -383,7 +384,7 @@ class Rest:
             Route("/api/devices", self._devices, DevicesView),
             Route("/api/topics", self._topics, TopicsView),
             Route("/api/clients", self._all_clients, ClientsView),
-            Route("/api/drives", self._all_drives, DrivesView, fails=(BAD_REQUEST,)),
+            Route("/api/drives", self._all_drives, DrivesView, fails=(BAD_REQUEST, UNAVAILABLE)),
             Route("/api/listening", self._listening, ListeningView),
             Route("/api/diagnosis", self._diagnosis, DaemonDiagnosisView),
             Route(
@@ -598,17 +599,18 @@ class Rest:
         limit = None if text is None else whole_number(text, MAX_DIGITS)
         if text is not None and limit is None:
             raise BadRequest("limit must be a number: how many drives")
-        drives = self._drives.newest_first(robot=request.query.get("robot"), limit=limit)
-        return reply({"drives": [_drive_view(drive) for drive in drives], "lost": self._drives.lost})
+        log = of_recorder(self._host, DriveLog)
+        drives = log.newest_first(robot=request.query.get("robot"), limit=limit)
+        return reply({"drives": [_drive_view(drive) for drive in drives], "lost": log.lost})
 
     async def _listening(self, _: web.Request) -> web.Response:
         """Addresses and serial ports where devices connect."""
-        return reply(listening_view(self._host.listening, self._config, own_address()))
+        return reply(listening_view(self._host.listening, self._settings, own_address()))
 
     async def _diagnosis(self, _: web.Request) -> web.Response:
         """Findings that belong to no link, and what came in the last minute and is not a robot."""
         devices = self._host.devices
-        findings = devices.findings(listening_text(self._host.listening, self._config))
+        findings = devices.findings(listening_text(self._host.listening, self._settings))
         return reply({"findings": findings, "arrivals": devices.arrivals()})
 
     async def _reload(self, _: web.Request) -> web.Response:

@@ -2,11 +2,12 @@
 
 import asyncio
 import struct
+from collections import Counter
 from collections.abc import Mapping
 
 import pytest
 
-from hostlink.core.components import hosted_part
+from hostlink.core.components import hosted
 from hostlink.core.config import Config
 from hostlink.core.host import LOCK_REASON, PROGRAM_PRIORITY, Host, PlanarVelocity, Role
 from hostlink.core.robot.standstill import StandstillState
@@ -173,12 +174,12 @@ async def test_capture_of_an_unknown_link_names_the_known_ones(made: MemoryHub) 
 
 
 @inside(in_hub, reraises=False)
-async def test_crash_of_spawned_work_ends_nothing_else_of_a_part_of_the_daemon(made: MemoryHub) -> None:
+async def test_crash_of_work_that_is_not_vital_ends_nothing_else(made: MemoryHub) -> None:
     async def crash() -> None:
         raise ValueError
 
-    with hosted_part(made.hub, "gateway") as host:
-        host.spawn(crash(), name="a connection")
+    async with hosted(made.hub, "gateway", Counter()) as host:
+        host.spawn(crash(), name="a connection", is_vital=False)
         await asyncio.sleep(0.1)
         me = host.join("client 1")
         assert not me.has_left
@@ -188,7 +189,7 @@ async def test_crash_of_spawned_work_ends_nothing_else_of_a_part_of_the_daemon(m
 
 @inside(in_hub, reraises=False)
 async def test_service_of_the_daemon_precedes_and_outlives_a_failure(made: MemoryHub) -> None:
-    with hosted_part(made.hub, "gateway") as host:
+    async with hosted(made.hub, "gateway", Counter()) as host:
         daemon = host.join_as_daemon()
 
         async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
@@ -206,7 +207,7 @@ async def test_service_of_the_daemon_precedes_and_outlives_a_failure(made: Memor
 
 @inside(in_hub)
 async def test_check_of_a_reload_ends_with_the_run(made: MemoryHub) -> None:
-    with hosted_part(made.hub, "gateway") as host:
+    async with hosted(made.hub, "gateway", Counter()) as host:
         host.on_reload(lambda _: lambda: None)
         assert len(made.hub.reloader.prepares) == 1
         with pytest.raises(ReloadRefused):
