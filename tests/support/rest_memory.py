@@ -25,6 +25,7 @@ from tests.support.hosts import host_of
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
+from tests.support.waiting import expect
 
 
 class RestCalls:
@@ -77,6 +78,12 @@ class RestMemory(RestCalls):
     async def begin(self, settle_s: float) -> None:
         self.device = ScriptedDevice(self.hub, self._topics, address="10.0.0.1")
         await asyncio.sleep(settle_s)
+        await expect(self._is_known)  # on a busy machine, in real time, that takes longer
+
+    def _is_known(self) -> bool:
+        """Whether the device has announced its topics, and the hub has decided which robot it is."""
+        known = self.hub.robots.device(self.device.link)
+        return known is not None and bool(known.link.session.counts.negotiations) and not known.is_undecided
 
     async def move_to(self, x_m: float, y_m: float, theta_rad: float) -> None:
         """Publish a pose of the robot."""
