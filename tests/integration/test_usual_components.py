@@ -198,6 +198,36 @@ async def test_port_of_the_gateway_in_use_at_the_start_ends_the_daemon_before_a_
     assert not listening
 
 
+async def test_robots_are_stopped_before_the_gateway_ends_and_the_recorder_ends_last(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    order: list[str] = []
+    shutdown, aclose = Hub.shutdown, Recordings.aclose
+
+    async def stop_robots(hub: Hub) -> None:
+        await shutdown(hub)
+        order.append("robots are stopped")
+
+    @contextlib.asynccontextmanager
+    async def served(host: Host, settings: GatewaySettings) -> AsyncIterator[str]:
+        try:
+            async with serve_api(host, settings) as url:
+                yield url
+        finally:
+            order.append("gateway has ended")
+
+    async def end(recordings: Recordings) -> None:
+        order.append("recorder ends")
+        await aclose(recordings)
+
+    monkeypatch.setattr(Hub, "shutdown", stop_robots)
+    monkeypatch.setattr(gateway, "serve_api", served)
+    monkeypatch.setattr(Recordings, "aclose", end)
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        await expect(lambda: host.hub.robots.has("robot_0"))
+    assert order == ["robots are stopped", "gateway has ended", "recorder ends"]
+
+
 # -- switches ---------------------------------------------------------------------------------------------------------
 
 
