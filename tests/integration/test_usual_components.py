@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import sys
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
@@ -269,3 +270,11 @@ async def test_python_program_with_the_core_has_a_gateway_if_its_settings_say_so
         assert host.offered(ApiAddress) == ApiAddress(f"http://127.0.0.1:{port}")
         async with session.get(f"http://127.0.0.1:{port}/api/robots") as response:
             assert await response.json() == {"robots": []}
+
+
+async def test_daemon_without_gateway_and_recorder_imports_no_web_server_and_no_numpy() -> None:
+    text = "import sys, hostlink.cli.serve; print(*sys.modules)"
+    process = await asyncio.create_subprocess_exec(sys.executable, "-c", text, stdout=asyncio.subprocess.PIPE)
+    modules = (await process.communicate())[0].decode().split()
+    assert "hostlink.core.running" in modules
+    assert {"aiohttp", "prometheus_client", "numpy", "hostlink.components.recorder"} & set(modules) == set()
