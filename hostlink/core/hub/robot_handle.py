@@ -17,7 +17,7 @@ from hostlink.core.runtime.loop_time import loop_time_s
 
 
 class How(TypedDict, total=False):
-    """What is known of a command, and how it is meant: the keywords of `Participant.drive`."""
+    """Keywords of `Participant.drive`: what is known of a command, and how it is meant."""
 
     priority: int | None
     received_s: float | None
