@@ -21,6 +21,7 @@ from hostlink.errors import ConfigError, HostlinkError
 
 GROUP = "hostlink.components"
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0  # before another run; doubled after each failure
+READY_S = 20.0  # for a component that begins first: a disk that sleeps needs several seconds
 STEADY_S = 60.0  # after a run of this length the pause is the first one again
 
 log = structlog.get_logger()
@@ -130,10 +131,15 @@ async def begun_first(hub: Hub, chosen: Iterable[Chosen]) -> AsyncIterator[None]
 
 @contextlib.asynccontextmanager
 async def _begun(hub: Hub, chosen: Chosen) -> AsyncIterator[None]:
-    """Run a component for the length of the block, which begins when it is ready or has failed."""
+    """Run a component for the length of the block, which begins when it is ready, has failed, or takes READY_S."""
     ready = asyncio.Event()
     async with meanwhile((chosen.name, supervise(hub, chosen.name, _make(hub, chosen), ready))):
-        await ready.wait()
+        try:
+            async with asyncio.timeout(READY_S):
+                await ready.wait()
+        except TimeoutError:
+            ready.set()  # from now on a failure is one of a daemon that holds robots
+            log.warning("component.late", component=chosen.name, after_s=READY_S)
         yield
 
 

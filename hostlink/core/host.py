@@ -5,12 +5,11 @@ A component offers the robots to something outside: a broker, a cloud, a display
 """
 
 import asyncio
-import contextlib
 import itertools
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import AbstractContextManager
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, Unpack
 from weakref import WeakValueDictionary
 
 import structlog
@@ -18,7 +17,6 @@ import structlog
 from hostlink.core.config import ParameterValue
 from hostlink.core.hub.any_robot import LOCK_REASON, AnyRobot
 from hostlink.core.hub.byte_budget import Share
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.devices import Capture, Devices
 from hostlink.core.hub.graph_view import OBSERVERS, Graph, GraphService, GraphTopic, is_imported
 from hostlink.core.hub.hub import Hub, Listening
@@ -34,7 +32,7 @@ from hostlink.core.hub.queue import Queue
 from hostlink.core.hub.reloader import Prepare, Reloaded
 from hostlink.core.hub.remote_robot import RemoteRobot
 from hostlink.core.hub.remote_robots import RemoteRobots
-from hostlink.core.hub.robot_handle import Measured, RecordedMotion, RobotHandle
+from hostlink.core.hub.robot_handle import How, Measured, RecordedMotion, RobotHandle
 from hostlink.core.hub.robot_topic_publisher import own_topics
 from hostlink.core.hub.robots_here import RobotHere, RobotsHere
 from hostlink.core.hub.shared import DAEMON, Offered
@@ -45,6 +43,8 @@ from hostlink.core.hub.topic import Receive
 from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.link.fair_share import Turns
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.robot.admission import Command
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.state import RobotState
@@ -63,6 +63,7 @@ __all__ = [
     "PROGRAM_PRIORITY",
     "WAIT_S",
     "Capture",
+    "Command",
     "CommandEndpoint",
     "Component",
     "Devices",
@@ -71,6 +72,7 @@ __all__ = [
     "GraphService",
     "GraphTopic",
     "Host",
+    "How",
     "KnownTopic",
     "LinkMeasures",
     "Listening",
@@ -271,11 +273,7 @@ class Host:
         participant: Participant,
         robot: str,
         velocity: PlanarVelocity,
-        *,
-        received_s: float | None = None,
-        sent_s: float | None = None,
-        epoch: int | None = None,
-        take_over: bool = False,
+        **how: Unpack[How],
     ) -> PlanarVelocity:
         """Drive a robot for the length of its lease, 0.5 s. Return the velocity after the robot's limits.
 
@@ -292,9 +290,7 @@ class Host:
             DeviceGone, FrameTooLarge, WrongType: the robot could not be sent the command.
         """
         found = self._hub.robots.find(robot, driver=lambda: participant)
-        return participant.drive(
-            found, velocity, received_s=received_s, sent_s=sent_s, epoch=epoch, take_over=take_over
-        )
+        return participant.drive(found, velocity, **how)
 
     async def stop(self, robot: str | None = None, *, by: str, wait_s: float = 1.5) -> Stopped:
         """Stop a robot; None: every robot and every board. Everybody may stop. The zero is sent before this waits.
@@ -306,25 +302,24 @@ class Host:
             DeviceGone: another daemon of the fleet did not answer, or its robot's device is not connected.
             FrameTooLarge, WrongType: the zero does not fit the device of the robot that is named.
         """
-        since_s = loop_time_s()
-        if robot is None:
-            robots: list[AnyRobot] = self._hub.robots.all()
-            with contextlib.suppress(HostlinkError):  # of a robot that is named in the result
-                self._hub.robots.stop_all(by=by)
-            endpoints = self._hub.robots.endpoints()
-        else:
-            robots = [self._hub.robots.find_to_stop(robot)]
-            robots[0].stop(by=by)
-            endpoints = robots[0].unguarded_endpoints
-        endpoints = [*endpoints, *await self._hub.gates.settled()]
-        measured = await self._hub.standstills.measure(robots, since_s, wait_s=wait_s)
-        unreached = (*self._refusing(robots), *_unreached(endpoints))
-        return Stopped({each.name: found for each, found in zip(robots, measured, strict=True)}, unreached)
+        since_s, target = loop_time_s(), self._to_stop(robot)
+        try:
+            target.stop(by=by)
+        except HostlinkError:
+            if robot is not None:
+                raise  # of all: the result names the robot
+        unreached = await self._unreached(target)
+        measured = await target.measure(since_s, wait_s=wait_s)
+        return Stopped({each.state.name: each.standstill for each in measured}, unreached)
 
-    def _refusing(self, robots: Iterable[AnyRobot]) -> tuple[str, ...]:
-        """Return "robot: reason" of each robot here whose device refused the last velocity."""
-        here = [(each.name, self._hub.robots.refusal(each)) for each in robots]
-        return tuple(f"{name}: {reason}" for name, reason in here if reason)
+    def _to_stop(self, robot: str | None) -> Stops | RobotHandle:
+        return self.stops if robot is None else self.find_to_stop(robot)
+
+    async def _unreached(self, target: Stops | RobotHandle) -> tuple[str, ...]:
+        """Return what could not be sent a zero, as `Stopped.unreached`."""
+        refusals = target.refusals() if isinstance(target, Stops) else []
+        endpoints = [*target.endpoints(), *await self.stops.settled()]
+        return (*refusals, *(f"{each.topic}: {each.reason}" for each in endpoints if each.reason))
 
     async def lock(self, robot: str | None = None, *, reason: str, by: str) -> tuple[str, ...]:
         """Stop a robot at once and refuse commands until `unlock`; None: every robot and board, also later ones.
@@ -334,16 +329,13 @@ class Host:
         Raises:
             UnknownTopic, DeviceGone, FrameTooLarge, WrongType: as for `stop`. What is reached is locked.
         """
-        if robot is None:
-            with contextlib.suppress(HostlinkError):  # of a robot that is named in the result
-                self._hub.robots.lock_all(reason, by=by)
-            endpoints, refusing = self._hub.robots.endpoints(), self._refusing(self._hub.robots.all())
-        else:
-            refusing = ()
-            found = self._hub.robots.find_to_stop(robot)
-            found.lock(reason, by=by)
-            endpoints = found.unguarded_endpoints
-        return (*refusing, *_unreached([*endpoints, *await self._hub.gates.settled()]))
+        target = self._to_stop(robot)
+        try:
+            target.lock(reason, by=by)
+        except HostlinkError:
+            if robot is not None:
+                raise  # of all: the result names the robot
+        return await self._unreached(target)
 
     async def unlock(self, robot: str | None = None, *, by: str) -> None:
         """Admit commands again; None: of every robot and board. It moves nothing.
@@ -352,11 +344,8 @@ class Host:
             UnknownTopic: there is no robot of this name.
             DeviceGone: another daemon of the fleet did not answer.
         """
-        if robot is None:
-            self._hub.robots.unlock_all(by=by)
-        else:
-            self._hub.robots.find(robot).unlock(by=by)
-        await self._hub.gates.settled()
+        (self.stops if robot is None else self.find(robot)).unlock(by=by)
+        await self.stops.settled()
 
     def follow(self, robot: str, receive: Callable[[], None]) -> None:
         """Call `receive` after each new pose of a robot, until the run ends or the robot is forgotten.
@@ -630,7 +619,3 @@ class Host:
 
 async def _raise(error: Exception) -> None:
     raise error
-
-
-def _unreached(endpoints: Iterable[CommandEndpoint]) -> tuple[str, ...]:
-    return tuple(f"{each.topic}: {each.reason}" for each in endpoints if each.reason)

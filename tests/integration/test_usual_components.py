@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import sys
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
@@ -198,6 +199,36 @@ async def test_port_of_the_gateway_in_use_at_the_start_ends_the_daemon_before_a_
     assert not listening
 
 
+async def test_robots_are_stopped_before_the_gateway_ends_and_the_recorder_ends_last(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    order: list[str] = []
+    shutdown, aclose = Hub.shutdown, Recordings.aclose
+
+    async def stop_robots(hub: Hub) -> None:
+        await shutdown(hub)
+        order.append("robots are stopped")
+
+    @contextlib.asynccontextmanager
+    async def served(host: Host, settings: GatewaySettings) -> AsyncIterator[str]:
+        try:
+            async with serve_api(host, settings) as url:
+                yield url
+        finally:
+            order.append("gateway has ended")
+
+    async def end(recordings: Recordings) -> None:
+        order.append("recorder ends")
+        await aclose(recordings)
+
+    monkeypatch.setattr(Hub, "shutdown", stop_robots)
+    monkeypatch.setattr(gateway, "serve_api", served)
+    monkeypatch.setattr(Recordings, "aclose", end)
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        await expect(lambda: host.hub.robots.has("robot_0"))
+    assert order == ["robots are stopped", "gateway has ended", "recorder ends"]
+
+
 # -- switches ---------------------------------------------------------------------------------------------------------
 
 
@@ -239,3 +270,11 @@ async def test_python_program_with_the_core_has_a_gateway_if_its_settings_say_so
         assert host.offered(ApiAddress) == ApiAddress(f"http://127.0.0.1:{port}")
         async with session.get(f"http://127.0.0.1:{port}/api/robots") as response:
             assert await response.json() == {"robots": []}
+
+
+async def test_daemon_without_gateway_and_recorder_imports_no_web_server_and_no_numpy() -> None:
+    text = "import sys, hostlink.cli.serve; print(*sys.modules)"
+    process = await asyncio.create_subprocess_exec(sys.executable, "-c", text, stdout=asyncio.subprocess.PIPE)
+    modules = (await process.communicate())[0].decode().split()
+    assert "hostlink.core.running" in modules
+    assert {"aiohttp", "prometheus_client", "numpy", "hostlink.components.recorder"} & set(modules) == set()

@@ -26,6 +26,7 @@ from hostlink.core.host import (
     MAX_WAIT_S,
     PROGRAM_PRIORITY,
     WAIT_S,
+    CommandEndpoint,
     Host,
     Listening,
     Participant,
@@ -33,6 +34,7 @@ from hostlink.core.host import (
     RobotHandle,
     Role,
 )
+from hostlink.core.robot.command_endpoint import command_endpoint_view
 from hostlink.core.robot.device_views import ArrivalView, DevicesView, FindingView, LinksView
 from hostlink.core.robot.state import MAX_PRIORITY
 from hostlink.core.robot.state_views import odometry_view, robot_view, stopped_view
@@ -468,13 +470,13 @@ class Rest:
         The topics that command a motion and are not a robot's are listed, with those that could not be sent a zero. If
         a robot could not be sent one, or a daemon did not answer, the error's answer has all of that, too.
         """
-        return await self._halt(request, partial(self._host.stops.stop_all, by=_caller(request)))
+        return await self._halt(request, partial(self._host.stops.stop, by=_caller(request)))
 
     async def _halt(
         self, request: web.Request, halt: Callable[[], object], robot: RobotHandle | None = None
     ) -> web.Response:
         """Stop or lock the robot, or all, and measure. A failure is answered with what became of all the others."""
-        since_s, failure, found = loop_time_s(), None, list[CommandEndpointView]()
+        since_s, failure, found = loop_time_s(), None, list[CommandEndpoint]()
         try:
             halt()
         except HostlinkError as error:  # the others have been sent theirs
@@ -483,8 +485,8 @@ class Rest:
             found = await self._host.stops.settled()
         except HostlinkError as error:
             failure = failure or error
-        endpoints = self._host.stops.endpoints() if robot is None else robot.endpoints()
-        return await self._measured(request, since_s, robot, endpoints=[*endpoints, *found], failure=failure)
+        endpoints = [*(robot or self._host.stops).endpoints(), *found]
+        return await self._measured(request, since_s, robot, endpoints=endpoints, failure=failure)
 
     async def _standstill(self, request: web.Request) -> web.Response:
         """Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)."""
@@ -500,26 +502,22 @@ class Rest:
         since_s: float,
         robot: RobotHandle | None = None,
         *,
-        endpoints: Sequence[CommandEndpointView] | None = None,
+        endpoints: Sequence[CommandEndpoint] | None = None,
         failure: HostlinkError | None = None,
     ) -> web.Response:
         """Measure whether the robot is stopped, or whether all are. Every stop has been sent before this waits."""
-        found: dict[str, object]
-        wait_s = _wait_s(request)
-        if robot is None:
-            measured = await self._host.stops.measure_all(since_s, wait_s=wait_s)
-            found = {"robots": [stopped_view(*each) for each in measured]}
-        else:
-            found = {**stopped_view(*await robot.measure(since_s, wait_s=wait_s))}
+        measured = await (robot or self._host.stops).measure(since_s, wait_s=_wait_s(request))
+        views = [stopped_view(*each) for each in measured]
+        found: dict[str, object] = {"robots": views} if robot is None else {**views[0]}
         if endpoints is not None:
-            found["endpoints"] = endpoints
+            found["endpoints"] = [command_endpoint_view(each) for each in endpoints]
         if failure is None:
             return reply(found)
         return reply({**error_view(failure), **found}, error_status(failure))
 
     def _lock_all_at_once(self, request: web.Request) -> None:
         with contextlib.suppress(HostlinkError):  # `_lock_all` answers it
-            self._host.stops.lock_all(by=_caller(request))
+            self._host.stops.lock(by=_caller(request))
 
     def _lock_at_once(self, request: web.Request) -> None:
         robot = self._find_to_stop(request)
@@ -535,13 +533,13 @@ class Rest:
         try:  # an invalid reason locks, too
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; all are locked')
         except BadRequest:
-            stops.lock_all(by=by)
+            stops.lock(by=by)
             raise
-        return await self._halt(request, partial(stops.lock_all, body.reason, by=by))
+        return await self._halt(request, partial(stops.lock, body.reason, by=by))
 
     async def _unlock_all(self, request: web.Request) -> web.Response:
         """Unlock every robot and board."""
-        self._host.stops.unlock_all(by=_caller(request))
+        self._host.stops.unlock(by=_caller(request))
         await self._host.stops.settled()
         return await self._robots(request)
 

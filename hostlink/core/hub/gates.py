@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, Protocol
 
 import structlog
 
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.diagnoses import Diagnosis
 from hostlink.core.hub.isolation import Isolation
 from hostlink.core.hub.message import Message
@@ -26,6 +25,7 @@ from hostlink.core.link.link import Link
 from hostlink.core.link.serving import LinkEnd
 from hostlink.core.protocol.endpoint import DeviceEndpoint
 from hostlink.core.robot.admission import LEASE_S, Admission, Command, named
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.command_types import CommandType, Published, decode_twist
 from hostlink.core.robot.events import (
     HOST_AWAY,

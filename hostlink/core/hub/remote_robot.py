@@ -92,15 +92,8 @@ class RemoteRobot(AnyRobot, ProvidedRobot):
         if decision.is_admitted or (is_zero and decision.kind is RefusalKind.HELD):  # it lets go there, too
             lease = None if command.velocity.is_zero else self.admission.driver("", now_s)
             began_s = command.received_s if lease is None else lease.deadline_s - self.admission.lease_s
-            self.provision.drive(
-                self,
-                command.velocity,
-                owner=command.source,
-                priority=command.priority,
-                received_s=began_s,
-                epoch=None if command.epoch is None else self._epoch,
-                take_over=command.take_over,
-            )
+            epoch = None if command.epoch is None else self._epoch
+            self.provision.drive(self, command._replace(received_s=began_s, epoch=epoch))
         if decision.kind is not None:
             raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder, by=decision.by)
         return command.velocity

@@ -17,6 +17,7 @@ from hostlink.cli.settings import load
 from hostlink.core import components
 from hostlink.core.components import (
     LONGEST_PAUSE_S,
+    READY_S,
     STEADY_S,
     Chosen,
     begun,
@@ -351,6 +352,24 @@ async def test_one_that_fails_before_it_is_ready_holds_up_nothing_and_is_tried_a
         assert events == ["+a", "+b"]
         assert codes(made) == []
     assert [each["again_in_s"] for each in made.logged("component.ended")] == [1.0, 2.0]
+
+
+@inside(in_hub)
+async def test_daemon_begins_without_one_that_hangs_and_holds_robots_when_that_fails(made: MemoryHub) -> None:
+    hangs = asyncio.Event()
+
+    async def hang(_: Host) -> None:
+        await hangs.wait()
+        raise ConfigError("driver.port", "is in use")
+
+    began_s = made.now_s
+    kind = type("Hangs", (driver_of(hang),), {"begins_first": True})
+    async with begun_first(made.hub, [Chosen("driver", kind, Settings())]):
+        assert made.now_s - began_s == pytest.approx(READY_S, abs=0.1)
+        assert len(made.logged("component.late")) == 1
+        hangs.set()
+        await asyncio.sleep(0.1)
+        assert codes(made) == ["component_failed"]
 
 
 @inside(in_hub)

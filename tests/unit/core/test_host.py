@@ -47,7 +47,7 @@ async def test_handle_drives_follows_and_measures_its_robot(made: MemoryHub) -> 
     epoch, since_s = robot.epoch, host.now_s
     robot.stop(by="a button")
     assert robot.epoch != epoch
-    state, standstill = await robot.measure(since_s, wait_s=0.5)
+    ((state, standstill),) = await robot.measure(since_s, wait_s=0.5)
     assert (state.name, standstill.state) == ("robot_0", StandstillState.UNKNOWN)
     assert standstill.reason == robot.why_unknown()
     assert velocities(device)[-1] == (0.0, 0.0)
@@ -89,7 +89,7 @@ async def test_states_are_made_one_by_one(made: MemoryHub) -> None:
     await made.connect()
     host = host_of(made.hub)
     states = host.states()
-    host.stops.lock_all("later", by="a button")
+    host.stops.lock("later", by="a button")
     assert [state.lock_reason for state in states] == ["later"]
 
 
@@ -100,14 +100,14 @@ async def test_stops_of_all_are_sent_at_once_and_measured(made: MemoryHub) -> No
     me = host.join("arm")
     host.find("robot_0").drive(me, FORWARD)
     since_s = host.now_s
-    host.stops.stop_all(by="a button")
+    host.stops.stop(by="a button")
     assert (host.stops.endpoints(), await host.stops.settled()) == ([], [])
-    ((state, standstill),) = await host.stops.measure_all(since_s, wait_s=0.1)
+    ((state, standstill),) = await host.stops.measure(since_s, wait_s=0.1)
     assert (state.name, standstill.state) == ("robot_0", StandstillState.UNKNOWN)
     assert velocities(device)[-1] == (0.0, 0.0)
-    host.stops.lock_all(by="a button")
+    host.stops.lock(by="a button")
     assert host.devices.all()["lock_reason"] == LOCK_REASON
-    host.stops.unlock_all(by="a button")
+    host.stops.unlock(by="a button")
     assert host.devices.all()["lock_reason"] is None
 
 
