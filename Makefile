@@ -38,7 +38,7 @@ help:
 	@echo "make demo    start the daemon with a simulated robot (ARGS='--api 127.0.0.1:9091 --listen 127.0.0.1:11412': other ports)"
 	@echo "make test    run the tests that need Python alone, in two or three minutes with their installation (230 MB in .venv)"
 	@echo "make test-all  run every test: installs compilers, emulators, browsers and ROS (5 GB), and runs for half an hour"
-	@echo "make quick   run the unit tests, in about a minute"
+	@echo "make quick   run the tests of the core, in less than a minute"
 	@echo "make docs    build the site of the documents, into build/docs/index.html"
 	@echo "make test-pythons  unit, property and integration tests on each Python from 3.11 that is found (PYTHONS=3.13)"
 	@echo "make coverage  which branches of the core no test takes; the pure packages must have none"
@@ -153,8 +153,8 @@ test: $(VENV)/.test
 test-all: test-requirements
 	$(BIN)/python tools/run_tests.py all --workers $(WORKERS)
 
-quick: $(VENV)/.dev
-	$(BIN)/python -m pytest -q --workers $(CORES) -m "not slow and not quiet and not alone and not long" tests/unit
+quick: $(VENV)/.test
+	$(BIN)/python -m pytest -q --workers $(WORKERS) --python-only -m "not slow and not quiet and not alone and not long" tests/unit/core
 
 coverage: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest --workers $(CORES) tests/unit tests/property tests/integration

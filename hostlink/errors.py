@@ -177,6 +177,14 @@ class ReloadRefused(HostlinkError):
     """The configuration cannot be reloaded, or not now."""
 
 
+class ComponentGone(HostlinkError):
+    """A component that a request needs does not run."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"the {name} does not run: [components] switches it off, or `hostlink doctor` says why")
+        self.name = name
+
+
 class RecordingFailed(HostlinkError):
     """A recording cannot be written or read."""
 

@@ -1,7 +1,6 @@
-"""Addresses on the command line: HOST:PORT, origins of web pages and serial ports."""
+"""Addresses on the command line: HOST:PORT and serial ports."""
 
 from typing import Annotated
-from urllib.parse import urlsplit
 
 import typer
 
@@ -37,15 +36,6 @@ def _not_an_address(option: str, text: str) -> ConfigError:
     is_serial = text.startswith("/dev/") or text.upper().startswith("COM")
     step = "a serial port is --serial /dev/ttyUSB0" if is_serial else "an example: 192.168.4.1:11411"
     return ConfigError(option, f"{text!r} is not HOST:PORT; {step}")
-
-
-def is_origin(text: str) -> bool:
-    """Whether a browser could send `text` as a page's origin; "*" is every origin, "file://" a program's own page."""
-    try:
-        parts = urlsplit(text)
-    except ValueError:  # brackets that do not match
-        return False
-    return text in ("*", "file://") or (bool(parts.scheme and parts.netloc) and parts.path in ("", "/"))
 
 
 def parse_serial(text: str) -> SerialConfig:

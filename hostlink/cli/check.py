@@ -13,11 +13,8 @@ import resource
 from collections import Counter
 from collections.abc import Iterator
 
-from hostlink.cli.addresses import is_origin
 from hostlink.cli.output import quantity
-from hostlink.components.gateway.access import Access, is_loopback, tls_context
-from hostlink.components.gateway.listener import KEPT_FOR_REQUESTS
-from hostlink.components.recorder.folder import default_folder
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS
 from hostlink.core.components import chosen_components
 from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, is_place
 from hostlink.core.hub.hub import Hub
@@ -29,11 +26,21 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.rosserial.control import encode_parameter
 from hostlink.core.robot.kinematics import SETTINGS, WHEELS_NEED, AckermannDrive
 from hostlink.core.runtime.acceptor import bind, why
-from hostlink.core.runtime.folders import owner_of
 from hostlink.core.runtime.listening import close_all, spelled
 from hostlink.core.transport.serial import find_port
 from hostlink.core.transport.udp import serve_udp
 from hostlink.errors import ConfigError, HostlinkError
+
+# -- components -------------------------------------------------------------------------------------------------------
+
+GATEWAY = "gateway"
+USUAL = (GATEWAY, "recorder")  # components that run unless [components] switches them off
+
+
+def is_on(config: Config, usual: str) -> bool:
+    """Whether one of USUAL runs."""
+    return config.components.get(usual, True)
+
 
 # -- descriptors ------------------------------------------------------------------------------------------------------
 
@@ -63,7 +70,8 @@ def fitted(config: Config, descriptors: int) -> Config:
         )
     room = descriptors - OWN - len(config.serial)
     datagrams = 0 if config.udp is None else config.udp.max_connections
-    devices, programs = config.tcp.max_connections + datagrams, config.api.max_connections
+    devices = config.tcp.max_connections + datagrams
+    programs = config.api.max_connections if is_on(config, GATEWAY) else 0
     nodes = config.ros1.max_connections * NODE_SHARES if config.ros1.master else 0
     if devices + programs + nodes <= room:
         return config
@@ -79,7 +87,7 @@ def fitted(config: Config, descriptors: int) -> Config:
         config,
         tcp=dataclasses.replace(config.tcp, max_connections=min(config.tcp.max_connections, room - datagrams)),
         udp=None if config.udp is None else dataclasses.replace(config.udp, max_connections=datagrams),
-        api=dataclasses.replace(config.api, max_connections=programs),
+        api=dataclasses.replace(config.api, max_connections=programs) if programs else config.api,
     )
 
 
@@ -87,9 +95,6 @@ def fitted(config: Config, descriptors: int) -> Config:
 
 _ROS_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)*")  # http://wiki.ros.org/Names
 _SENSIBLE = {  # setting -> the smallest value that works, and the reason
-    "api.max_message_bytes": (1024, "a message of a program is a few hundred bytes of JSON"),
-    "api.max_requests_s": (10, "a program that drives sends ten commands a second"),
-    "api.request_timeout_s": (0.1, "a radio link takes longer"),
     "link.max_topics": (2, "a robot has a velocity and an odometry"),
     "link.uart_bytes_s": (120, "no UART is slower than 1200 baud"),
     "link.silence_timeout_s": (2.5, "a device requests the time every 2.5 s"),
@@ -107,15 +112,15 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     _check_values(config)
     hub = Hub(config, Catalog(config.message_folders))  # message folders, limits of robots
     TcpAcceptor(hub, config.tcp)  # the key
-    Access(config.api)
-    tls_context(config.api)
-    warnings = [] if is_listening else await _try_port("tcp", config.tcp.host, config.tcp.port)
-    warnings += await _try_port("api", config.api.host, config.api.port)
+    warnings = []
+    for each in chosen_components(config, USUAL):  # the warnings of those with tables of other names begin with a key
+        warnings += [f"{'' if each.kind.tables else f'{each.name}: '}{warning}" for warning in each.make().check()]
+    warnings += [] if is_listening else await _try_port("tcp", config.tcp.host, config.tcp.port)
+    if is_on(config, GATEWAY):
+        warnings += await _try_port("api", config.api.host, config.api.port)
     if config.udp is not None:
         UdpAcceptor(hub, config.udp)
         warnings += await _try_datagrams(config.udp)
-    for name, kind, settings in chosen_components(config):
-        warnings += [f"{name}: {each}" for each in kind(settings).check()]
     fits = fitted(config, descriptors)
     if fits != config:
         sessions = "" if fits.udp is None else f", {fits.udp.max_connections} over UDP"
@@ -128,20 +133,20 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
 
 def describe(config: Config) -> list[str]:
     """Lines that describe what would be served."""
-    tcp, udp, api = config.tcp, config.udp, config.api
+    tcp, udp, chosen = config.tcp, config.udp, chosen_components(config, USUAL)
     lines = [f"devices on TCP {spelled(tcp.host, tcp.port)}, from {_describe_who(tcp)}, at most {tcp.max_connections}"]
     if udp is not None:
         believed = f"; {', '.join((*udp.trusted, *udp.devices))} trusted" if udp.trusted or udp.devices else ""
         where = spelled(udp.host, udp.port)
         lines.append(f"devices on UDP {where}, from {_describe_who(udp)}, at most {udp.max_connections}{believed}")
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
-    lines.append(f"programs on {'http' if api.certificate is None else 'https'}://{spelled(api.host, api.port)}")
+    lines += [each.make().describe() for each in chosen if each.kind.begins_first]
     if config.ros1.master:
         node = "/".join(["", *filter(None, config.ros1.namespace.split("/")), config.ros1.name])
         lines.append(f"node {node} of the ROS 1 master at {config.ros1.master}")
     for name, robot in config.robots.items():
         lines.append(f"robot {name}, {robot.address or ' and '.join(robot.devices or ()) or 'known by its topics'}")
-    lines += [kind(settings).describe() for _, kind, settings in chosen_components(config)]
+    lines += [each.make().describe() for each in chosen if not each.kind.begins_first]
     lines += [f"messages in {folder}" for folder in config.message_folders]
     return [*lines, quantity(len(config.parameters), "parameter")]
 
@@ -226,11 +231,6 @@ def _suspicious(config: Config) -> Iterator[str]:
     yield from _suspicious_robots(config)
     yield from _shared_topics(config)
     yield from _shared_frames(config)
-    yield from _suspicious_api(config)
-    folder = config.recording.folder or default_folder()
-    if (owner := owner_of(folder)) is not None:
-        advice = "this daemon keeps no recordings, incidents and drives until that one ends; set another folder"
-        yield f"recording.folder {folder} belongs to {owner}: {advice}"
     for name, part in {"tcp": config.tcp, "udp": config.udp}.items():
         if part is not None and part.keyless and part.key_file is None:
             yield f"{name}.keyless has no effect without {name}.key_file, because no device needs a key"
@@ -316,17 +316,3 @@ def _suspicious_robots(config: Config) -> Iterator[str]:
         if robot.address not in ports and not is_place(robot.address):
             kinds = "an IP address, with or without a port, nor the name of a [[serial]] port"
             yield f"{where}.address {robot.address} is neither {kinds}"
-
-
-def _suspicious_api(config: Config) -> Iterator[str]:
-    api = config.api
-    if api.certificate is None and not is_loopback(api.host):
-        yield f"api.host {api.host} without a certificate: others on the network can read the tokens"
-    if api.max_clients > api.max_connections - KEPT_FOR_REQUESTS:
-        yield (
-            f"api.max_clients {api.max_clients} is too large: api.max_connections {api.max_connections} leaves "
-            f"{api.max_connections - KEPT_FOR_REQUESTS} connections for clients"
-        )
-    for origin in api.origins:
-        if not is_origin(origin):
-            yield f'api.origins {origin} is not an origin; write the scheme and the host, for example "https://panel.example"'

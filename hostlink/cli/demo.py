@@ -12,7 +12,7 @@ import typer
 from hostlink.cli.ending import Ending, stop_signals
 from hostlink.cli.output import show_progress, write
 from hostlink.cli.own_name import own_name
-from hostlink.cli.serve import running
+from hostlink.cli.serve import import_components, running
 from hostlink.cli.serve_command import Origins, allow_origins, merge
 from hostlink.cli.sim import Kind
 from hostlink.core.config import Config, RobotConfig
@@ -58,6 +58,7 @@ def command(
     logs.configure(level="error")
     names = {f"robot_{number}": PAPER_ROBOT for number in range(robots)}
     config = allow_origins(merge(Config(robots=names), listen=listen, api=api), origin)
+    import_components(config)
     try:
         asyncio.run(_demo(config, robots, robot))
     except ConfigError as error:

@@ -3,11 +3,11 @@
 import asyncio
 import contextlib
 import logging
+import sys
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import structlog
-from aiohttp.http_exceptions import HttpProcessingError
 
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.logs import printable
@@ -50,12 +50,18 @@ class _LibraryLog(logging.Handler):
         self._budget, self._clock = budget, clock
 
     def emit(self, record: logging.LogRecord) -> None:
-        error = record.exc_info[1] if record.exc_info else None
+        error: Any = record.exc_info[1] if record.exc_info else None
         counts = self._budget.due(f"{record.name} {type(error).__name__}", self._clock())
         if not counts:
             return
-        if isinstance(error, HttpProcessingError):
-            log.warning("client.malformed", reason=printable(error.message.partition("\n")[0]), **counts)
+        if _is_malformed(error):
+            log.warning("client.malformed", reason=printable(str(error.message).partition("\n")[0]), **counts)
         else:
             text = printable(record.getMessage())
             log.error("library.complained", library=record.name, text=text, **counts, exc_info=error)
+
+
+def _is_malformed(error: object) -> bool:
+    """Whether an error of aiohttp tells of a client's input. A daemon without a gateway does not import aiohttp."""
+    module = sys.modules.get("aiohttp.http_exceptions")
+    return module is not None and isinstance(error, module.HttpProcessingError)

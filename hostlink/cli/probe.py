@@ -12,10 +12,11 @@ from typing import Any
 
 import msgspec
 
+from hostlink.cli.check import USUAL
 from hostlink.cli.connecting import counted
 from hostlink.cli.doctor import Report, rates, report_of
 from hostlink.cli.serve import running
-from hostlink.core.config import ApiConfig, Config, SerialConfig, TcpConfig
+from hostlink.core.config import Config, SerialConfig, TcpConfig
 from hostlink.core.diagnosis.finding import Finding, finding
 from hostlink.core.diagnosis.replay import Replay, replay
 from hostlink.core.hub.devices import Devices, finding_views
@@ -59,7 +60,7 @@ SETTLE_S = 9.0  # after the topics, for three time requests
 _POLL_S = 1.0
 _ANY = ("0.0.0.0", "::")  # noqa: S104 - compared only
 _LOOPBACK = TcpConfig(host="127.0.0.1", port=0)
-_NO_API = ApiConfig(port=0)
+_ALONE = dict.fromkeys(USUAL, False)  # no programs and no recordings
 
 
 async def probe_network(host: str, port: int, seconds: float, folders: tuple[Path, ...], show: Show) -> Report:
@@ -68,7 +69,7 @@ async def probe_network(host: str, port: int, seconds: float, folders: tuple[Pat
     if _is_in_use(host, port):
         user = user_of_port(port)
         return _report(source, finding("address_in_use", f"port {port}" + (f", by {user}" if user else "")))
-    config = Config(tcp=TcpConfig(host=host, port=port), api=_NO_API, message_folders=folders)
+    config = Config(tcp=TcpConfig(host=host, port=port), components=_ALONE, message_folders=folders)
     async with running(config) as (hub, _):
         for left_s in range(round(seconds), 0, -1):
             show(f"listening on {source}, {left_s} s left, {len(hub.links.all())} connected")
@@ -85,7 +86,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
     """Open a serial port, try the usual speeds, and report what came."""
     bauds = port.bauds + tuple(baud for baud in COMMON_BAUDS if baud not in port.bauds)
     trying = dataclasses.replace(port, baud=bauds, baud_try_s=BAUD_TRY_S)
-    config = Config(tcp=_LOOPBACK, api=_NO_API, serial=(trying,), message_folders=folders)
+    config = Config(tcp=_LOOPBACK, components=_ALONE, serial=(trying,), message_folders=folders)
     diagnosed: dict[str, Finding] = {}
     async with running(config) as (hub, _):
         found_for_s = 0.0

@@ -1,4 +1,4 @@
-"""`hostlink serve`: the composition root, which starts the parts of the daemon and stops them in order."""
+"""`hostlink serve`: the composition root, which starts the core with its usual components and ends at a signal."""
 
 import asyncio
 import contextlib
@@ -12,16 +12,16 @@ from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 
 import structlog
 
-from hostlink.cli.check import check, describe, fitted, limit
+from hostlink.cli.check import USUAL, check, describe, fitted, limit
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.garbage import collect_while_idle, return_large_blocks, shorten_pauses
 from hostlink.cli.library_logs import complaints_logged
 from hostlink.cli.output import quantity, write, write_error
+from hostlink.cli.start import importing_fast
 from hostlink.cli.systemd import Notifier
-from hostlink.components.gateway.server import serve_api
-from hostlink.components.recorder.recordings import Recordings
+from hostlink.components.gateway.settings import ApiAddress
 from hostlink.core import running as core
-from hostlink.core.components import Make, hosted_part
+from hostlink.core.components import Make, chosen_components
 from hostlink.core.config import Config
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.hub.gates import Guard
@@ -33,8 +33,6 @@ from hostlink.core.runtime.listening import close_all, spelled
 
 log = structlog.get_logger()
 
-RECORDINGS = "recordings"  # name of this part of the daemon in findings
-
 OnGraphEnd = Callable[[str], None]
 
 
@@ -43,7 +41,7 @@ class Addresses:
     """Addresses on which a running daemon listens; a port 0 of the configuration is replaced by the chosen one."""
 
     tcp: tuple[str, int]
-    api: str
+    api: str  # empty: no gateway runs
     udp: tuple[str, int] | None = None
 
 
@@ -57,23 +55,16 @@ async def running(
     read: Read | None = None,
     listening: Sequence[socket.socket] = (),
 ) -> AsyncIterator[tuple[Hub, Addresses]]:
-    """Run the whole daemon for the length of a block: the core, recordings, graphs and the API.
+    """Run the whole daemon for the length of a block: the core, and the components that the settings switch on.
 
     `on_graph_end` is called with the reason when this node of a ROS graph was shut down by ROS. `on_listening` is
     called when every port is open. `read` reads the configuration again, as a new start would. `listening` are the
     sockets for devices, if they are open already.
     """
-    api = ""
 
     @contextlib.asynccontextmanager
     async def parts(hub: Hub) -> AsyncIterator[None]:
-        nonlocal api
-        async with (
-            complaints_logged(),
-            kept_names(hub.links, names_file(config)),
-            _recordings(hub) as recordings,
-            _api(hub, config, recordings) as api,
-        ):
+        async with complaints_logged(), kept_names(hub.links, names_file(config)):
             with reload_signal(hub.reloader):
                 yield
 
@@ -82,14 +73,23 @@ async def running(
         ros1 = importlib.import_module("hostlink.components.ros1.node").Ros1
         own["ros1"] = lambda: ros1(config.ros1, on_graph_end)
     async with core.running(
-        config, guard=guard, read=read, around=parts, own=own, on_listening=on_listening, listening=listening
+        config,
+        guard=guard,
+        read=read,
+        around=parts,
+        usual=USUAL,
+        own=own,
+        on_listening=on_listening,
+        listening=listening,
     ) as (hub, devices):
+        gateway = hub.offered(ApiAddress)
+        api = {} if gateway is None else {"api": gateway.url}
         udp = {} if devices.udp is None else {"udp": spelled(*devices.udp)}
         loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
         ports = {"serial": list(devices.serial), "missing": list(devices.missing)} if config.serial else {}
-        log.info("daemon.started", tcp=spelled(*devices.tcp), api=api, loop=loop, **udp, **ports)
+        log.info("daemon.started", tcp=spelled(*devices.tcp), **api, loop=loop, **udp, **ports)
         try:
-            yield hub, Addresses(devices.tcp, api, devices.udp)
+            yield hub, Addresses(devices.tcp, api.get("api", ""), devices.udp)
         except Exception as error:
             log.exception("daemon.failed", cause=repr(error))
             raise
@@ -99,26 +99,14 @@ async def running(
     log.info("daemon.stopped")
 
 
-@contextlib.asynccontextmanager
-async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
-    """Open the recordings. They end after the robots were stopped, so that the stop is recorded."""
-    config = hub.config
-    with hosted_part(hub, RECORDINGS) as host:
-        api = spelled(config.api.host, config.api.port)
-        recordings = Recordings(host, config.recording, config.black_box, api=api)
-        await recordings.open()
-        try:
-            yield recordings
-        finally:
-            await recordings.aclose()
+def import_components(config: Config) -> None:
+    """Import the components that run.
 
-
-@contextlib.asynccontextmanager
-async def _api(hub: Hub, config: Config, recordings: Recordings) -> AsyncIterator[str]:
-    """Serve the API. It ends after the robots were stopped, so that programs see the stop."""
-    with hosted_part(hub, "gateway") as host:
-        async with serve_api(host, config, recordings) as address:
-            yield address
+    Raises:
+        ConfigError: one is not installed, or cannot be imported.
+    """
+    with importing_fast():
+        chosen_components(config, USUAL)
 
 
 def run(
@@ -135,6 +123,7 @@ def run(
         ConfigError: the settings cannot be served.
     """
     try:
+        import_components(config)
         for warning in asyncio.run(check(config, descriptors=limit(), is_listening=bool(listening))):
             log.warning("config.suspicious", reason=warning)
         read_again = None if read is None else (lambda: fitted(read(), limit()))

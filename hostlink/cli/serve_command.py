@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from hostlink.cli.addresses import is_origin, parse_address, parse_serial
+from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.settings import load
 from hostlink.cli.start import import_fast
+from hostlink.components.gateway.settings import is_origin
 from hostlink.core.config import ApiConfig, Config, Ros1Config, TcpConfig, UdpConfig
 from hostlink.core.runtime.listening import listen as listen_at
 from hostlink.errors import ConfigError, LibraryMissing
@@ -226,12 +227,13 @@ class Sentences:
         """Return the sentence of an event; None if it has none: then a warning is shown as a line of the log."""
         match event["event"]:
             case "daemon.started":
-                url = event["api"]
-                self._option = "" if url == f"http://127.0.0.1:{ApiConfig().port}" else f" --url {url}"
+                url = event.get("api", "")  # empty: the gateway is off, or has failed
+                self._option = "" if url in ("", f"http://127.0.0.1:{ApiConfig().port}") else f" --url {url}"
+                page = f": {url}  (open it in a browser)" if url else ", without an address for programs"
                 udp = f", over UDP to {event['udp']}" if "udp" in event else ""
                 serial, missing = _listed(event, ", and are at ", "serial"), _listed(event, "; waiting for ", "missing")
                 boards = f"boards connect to {event['tcp']}{udp}{serial}{missing}"
-                return f"hostlink runs: {url}  (open it in a browser)\n{boards}; Ctrl-C ends hostlink"
+                return f"hostlink runs{page}\n{boards}; Ctrl-C ends hostlink"
             case "serial.waiting":
                 reason = str(event["reason"]).removeprefix(f"{event['port']}: ")
                 return f"{event['port']} cannot be used: {reason}\n  next: {event['next_step']}"

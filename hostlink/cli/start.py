@@ -1,9 +1,11 @@
 """Entry point of the program `hostlink`. While it imports, Ctrl-C ends it without a traceback."""
 
+import contextlib
 import gc
 import importlib
 import os
 import signal
+from collections.abc import Iterator
 from typing import Any
 
 _CERTIFICATES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
@@ -16,8 +18,9 @@ def main() -> None:
     import_fast("hostlink.cli.main").main()
 
 
-def import_fast(module: str) -> Any:
-    """Import a module of a command in a third less CPU time.
+@contextlib.contextmanager
+def importing_fast() -> Iterator[None]:
+    """Import what the block imports in a third less CPU time.
 
     While aiohttp is imported, it loads the certificates of the system, twice: hidden here, because HttpClient loads
     them itself for https. Objects of the import stay, so collections are off, also for the end of the process.
@@ -26,7 +29,7 @@ def import_fast(module: str) -> Any:
     os.environ.update(dict.fromkeys(_CERTIFICATES, os.devnull))
     gc.disable()
     try:
-        return importlib.import_module(module)
+        yield
     finally:
         gc.freeze()
         gc.enable()
@@ -35,3 +38,9 @@ def import_fast(module: str) -> Any:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+def import_fast(module: str) -> Any:
+    """Import a module of a command."""
+    with importing_fast():
+        return importlib.import_module(module)

@@ -4,12 +4,12 @@ A component offers the robots to something outside: a broker, a cloud, a display
 `hostlink.errors`. Methods are synchronous and belong to the event loop, unless they are declared with `async`.
 """
 
-import contextlib
+import asyncio
 import itertools
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import AbstractContextManager
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, Unpack
 from weakref import WeakValueDictionary
 
 import structlog
@@ -17,7 +17,6 @@ import structlog
 from hostlink.core.config import ParameterValue
 from hostlink.core.hub.any_robot import LOCK_REASON, AnyRobot
 from hostlink.core.hub.byte_budget import Share
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.devices import Capture, Devices
 from hostlink.core.hub.graph_view import OBSERVERS, Graph, GraphService, GraphTopic, is_imported
 from hostlink.core.hub.hub import Hub, Listening
@@ -33,10 +32,10 @@ from hostlink.core.hub.queue import Queue
 from hostlink.core.hub.reloader import Prepare, Reloaded
 from hostlink.core.hub.remote_robot import RemoteRobot
 from hostlink.core.hub.remote_robots import RemoteRobots
-from hostlink.core.hub.robot_handle import Measured, RecordedMotion, RobotHandle
+from hostlink.core.hub.robot_handle import How, Measured, RecordedMotion, RobotHandle
 from hostlink.core.hub.robot_topic_publisher import own_topics
 from hostlink.core.hub.robots_here import RobotHere, RobotsHere
-from hostlink.core.hub.shared import DAEMON
+from hostlink.core.hub.shared import DAEMON, Offered
 from hostlink.core.hub.standstills import MAX_WAIT_S, WAIT_S, own_services
 from hostlink.core.hub.stops import Stops
 from hostlink.core.hub.subscription import Subscription
@@ -44,6 +43,8 @@ from hostlink.core.hub.topic import Receive
 from hostlink.core.hub.topic_graph import resolve
 from hostlink.core.link.fair_share import Turns
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.robot.admission import Command
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.state import RobotState
@@ -62,6 +63,7 @@ __all__ = [
     "PROGRAM_PRIORITY",
     "WAIT_S",
     "Capture",
+    "Command",
     "CommandEndpoint",
     "Component",
     "Devices",
@@ -70,6 +72,7 @@ __all__ = [
     "GraphService",
     "GraphTopic",
     "Host",
+    "How",
     "KnownTopic",
     "LinkMeasures",
     "Listening",
@@ -107,7 +110,7 @@ __all__ = [
     "to_parameter",
 ]  # fmt: skip
 
-API_VERSION = (1, 1)  # the second number grows with what is added, the first with what is removed or changed
+API_VERSION = (1, 2)  # the second number grows with what is added, the first with what is removed or changed
 
 log = structlog.get_logger()
 Settings = TypeVar("Settings")
@@ -129,16 +132,30 @@ class TopicSource(NamedTuple):
     is_elsewhere: bool  # only other graphs publish it and no device takes it, or it is of a robot of another daemon
 
 
+class RunWork(Protocol):
+    """Run work as long as a component. A failure ends the component, or this work alone, if it is not vital."""
+
+    def __call__(self, work: Coroutine[Any, Any, object], part: str, *, is_vital: bool) -> None: ...
+
+
 class Component(Generic[Settings]):
     """Base of a component. One instance is made for each start of `run`.
 
     `name` is that of its table in hostlink.toml, and `settings_type` a dataclass of the table's keys. `log_events`
     lists the events that it logs by `host.log`, without its name: {"connected": "the broker accepted the connection"}.
+
+    `begins_first`: it begins before the first device is accepted, and ends after the others. The daemon waits until it
+    calls `host.ready`, or has failed; a `ConfigError` before its first `ready` ends the daemon. Of those that begin
+    first, one begins after those that it `uses`, and ends before them. `tables` is for hostlink's own components that
+    are older than tables by their name: these tables are theirs, and each field of `settings_type` is a table.
     """
 
     name: ClassVar[str]
     settings_type: ClassVar[type]
     log_events: ClassVar[Mapping[str, str]] = {}
+    begins_first: ClassVar[bool] = False
+    uses: ClassVar[tuple[str, ...]] = ()
+    tables: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -170,12 +187,14 @@ class Host:
         self,
         hub: Hub,
         name: str,
-        spawn: Callable[[Coroutine[Any, Any, object], str], None],
+        spawn: RunWork,
         counts: Counter[str],
         kept: dict[str, Any] | None = None,
+        ready: asyncio.Event | None = None,
     ) -> None:
-        """`spawn` runs work as long as the component. `counts` and `kept` are of all its runs."""
+        """`spawn` runs work as long as the component. `counts`, `kept` and `ready` are of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
+        self._offers: list[object] = []
         # One that the hub and the component have let go of is not kept, nor what its callbacks refer to.
         self._participants: WeakValueDictionary[int, Participant] = WeakValueDictionary()
         self._numbers = itertools.count(1)
@@ -193,6 +212,7 @@ class Host:
         self._kept = {} if kept is None else kept
         self._remote: list[RemoteRobots] = []
         self._here: RobotsHere | None = None
+        self._ready = ready
         self.log = log.bind(component=name)
 
     # -- robots -------------------------------------------------------------------------------------------------------
@@ -253,11 +273,7 @@ class Host:
         participant: Participant,
         robot: str,
         velocity: PlanarVelocity,
-        *,
-        received_s: float | None = None,
-        sent_s: float | None = None,
-        epoch: int | None = None,
-        take_over: bool = False,
+        **how: Unpack[How],
     ) -> PlanarVelocity:
         """Drive a robot for the length of its lease, 0.5 s. Return the velocity after the robot's limits.
 
@@ -274,9 +290,7 @@ class Host:
             DeviceGone, FrameTooLarge, WrongType: the robot could not be sent the command.
         """
         found = self._hub.robots.find(robot, driver=lambda: participant)
-        return participant.drive(
-            found, velocity, received_s=received_s, sent_s=sent_s, epoch=epoch, take_over=take_over
-        )
+        return participant.drive(found, velocity, **how)
 
     async def stop(self, robot: str | None = None, *, by: str, wait_s: float = 1.5) -> Stopped:
         """Stop a robot; None: every robot and every board. Everybody may stop. The zero is sent before this waits.
@@ -288,25 +302,24 @@ class Host:
             DeviceGone: another daemon of the fleet did not answer, or its robot's device is not connected.
             FrameTooLarge, WrongType: the zero does not fit the device of the robot that is named.
         """
-        since_s = loop_time_s()
-        if robot is None:
-            robots: list[AnyRobot] = self._hub.robots.all()
-            with contextlib.suppress(HostlinkError):  # of a robot that is named in the result
-                self._hub.robots.stop_all(by=by)
-            endpoints = self._hub.robots.endpoints()
-        else:
-            robots = [self._hub.robots.find_to_stop(robot)]
-            robots[0].stop(by=by)
-            endpoints = robots[0].unguarded_endpoints
-        endpoints = [*endpoints, *await self._hub.gates.settled()]
-        measured = await self._hub.standstills.measure(robots, since_s, wait_s=wait_s)
-        unreached = (*self._refusing(robots), *_unreached(endpoints))
-        return Stopped({each.name: found for each, found in zip(robots, measured, strict=True)}, unreached)
+        since_s, target = loop_time_s(), self._to_stop(robot)
+        try:
+            target.stop(by=by)
+        except HostlinkError:
+            if robot is not None:
+                raise  # of all: the result names the robot
+        unreached = await self._unreached(target)
+        measured = await target.measure(since_s, wait_s=wait_s)
+        return Stopped({each.state.name: each.standstill for each in measured}, unreached)
 
-    def _refusing(self, robots: Iterable[AnyRobot]) -> tuple[str, ...]:
-        """Return "robot: reason" of each robot here whose device refused the last velocity."""
-        here = [(each.name, self._hub.robots.refusal(each)) for each in robots]
-        return tuple(f"{name}: {reason}" for name, reason in here if reason)
+    def _to_stop(self, robot: str | None) -> Stops | RobotHandle:
+        return self.stops if robot is None else self.find_to_stop(robot)
+
+    async def _unreached(self, target: Stops | RobotHandle) -> tuple[str, ...]:
+        """Return what could not be sent a zero, as `Stopped.unreached`."""
+        refusals = target.refusals() if isinstance(target, Stops) else []
+        endpoints = [*target.endpoints(), *await self.stops.settled()]
+        return (*refusals, *(f"{each.topic}: {each.reason}" for each in endpoints if each.reason))
 
     async def lock(self, robot: str | None = None, *, reason: str, by: str) -> tuple[str, ...]:
         """Stop a robot at once and refuse commands until `unlock`; None: every robot and board, also later ones.
@@ -316,16 +329,13 @@ class Host:
         Raises:
             UnknownTopic, DeviceGone, FrameTooLarge, WrongType: as for `stop`. What is reached is locked.
         """
-        if robot is None:
-            with contextlib.suppress(HostlinkError):  # of a robot that is named in the result
-                self._hub.robots.lock_all(reason, by=by)
-            endpoints, refusing = self._hub.robots.endpoints(), self._refusing(self._hub.robots.all())
-        else:
-            refusing = ()
-            found = self._hub.robots.find_to_stop(robot)
-            found.lock(reason, by=by)
-            endpoints = found.unguarded_endpoints
-        return (*refusing, *_unreached([*endpoints, *await self._hub.gates.settled()]))
+        target = self._to_stop(robot)
+        try:
+            target.lock(reason, by=by)
+        except HostlinkError:
+            if robot is not None:
+                raise  # of all: the result names the robot
+        return await self._unreached(target)
 
     async def unlock(self, robot: str | None = None, *, by: str) -> None:
         """Admit commands again; None: of every robot and board. It moves nothing.
@@ -334,11 +344,8 @@ class Host:
             UnknownTopic: there is no robot of this name.
             DeviceGone: another daemon of the fleet did not answer.
         """
-        if robot is None:
-            self._hub.robots.unlock_all(by=by)
-        else:
-            self._hub.robots.find(robot).unlock(by=by)
-        await self._hub.gates.settled()
+        (self.stops if robot is None else self.find(robot)).unlock(by=by)
+        await self.stops.settled()
 
     def follow(self, robot: str, receive: Callable[[], None]) -> None:
         """Call `receive` after each new pose of a robot, until the run ends or the robot is forgotten.
@@ -486,7 +493,7 @@ class Host:
         """
 
         def fail(error: Exception) -> None:
-            self._spawn(_raise(error), "provider of robots")
+            self._spawn(_raise(error), "provider of robots", is_vital=True)
 
         robots = RemoteRobots(
             self._hub.robots, self._hub.gates, self._hub.topics, Provision(provider, self._name, fail)
@@ -528,9 +535,29 @@ class Host:
         """The event loop's time, in seconds: that of `received_s` and of `RobotEvent.at_s`."""
         return loop_time_s()
 
-    def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> None:
-        """Run work at the same time as `run`. A failure of it is a failure of the component."""
-        self._spawn(work, name)
+    def spawn(self, work: Coroutine[Any, Any, object], *, name: str, is_vital: bool = True) -> None:
+        """Run work at the same time as `run`. A failure of it is a failure of the component, if it `is_vital`.
+
+        Otherwise a failure is logged, counted, and ends nothing else: of one connection among many.
+        """
+        self._spawn(work, name, is_vital=is_vital)
+
+    def ready(self) -> None:
+        """Tell that the component works now, if it `begins_first`."""
+        if self._ready is not None:
+            self._ready.set()
+
+    def offer(self, service: object) -> None:
+        """Let other components find `service` by its type, until the run ends. A later one of its type replaces it."""
+        self._offers.append(service)
+        self._hub.offers[type(service)] = service
+
+    def offered(self, kind: type[Offered]) -> Offered | None:
+        """Return what another component offers of this type; None: none does at present.
+
+        Ask for it at each use: a component that was started again offers another one.
+        """
+        return self._hub.offered(kind)
 
     def count(self, what: str, number: int = 1) -> None:
         """Add to a counter of the component, which GET /metrics shows."""
@@ -582,6 +609,9 @@ class Host:
             self.answer_parameters(None)
         if self._has_clock:
             self.set_clock(None)
+        for service in self._offers:
+            if self._hub.offers.get(type(service)) is service:
+                del self._hub.offers[type(service)]
         for prepare in self._prepares:
             self._hub.reloader.prepares.remove(prepare)
         self._prepares.clear()
@@ -589,7 +619,3 @@ class Host:
 
 async def _raise(error: Exception) -> None:
     raise error
-
-
-def _unreached(endpoints: Iterable[CommandEndpoint]) -> tuple[str, ...]:
-    return tuple(f"{each.topic}: {each.reason}" for each in endpoints if each.reason)

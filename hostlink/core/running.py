@@ -3,13 +3,12 @@
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from socket import socket
 from time import thread_time
 
-from hostlink.core.components import Make, chosen_components, hosted, supervise
+from hostlink.core.components import Make, begun, begun_first, chosen_components, hosted
 from hostlink.core.config import Config, UdpConfig
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.host import Host
@@ -67,6 +66,7 @@ async def running(
     guard: Guard | None = None,
     read: Read | None = None,
     around: Around = contextlib.nullcontext,
+    usual: Iterable[str] = (),
     own: Mapping[str, Make] | None = None,
     on_listening: Callable[[], None] = lambda: None,
     listening: Sequence[socket] = (),
@@ -74,10 +74,12 @@ async def running(
     """Run a hub with its listeners and components for the length of a block.
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
-    `read` reads the settings again, as a new start would. `own` are further components by name. `around` begins before
-    the first device is accepted, and ends after the robots were stopped. `on_listening` is called when every port is
-    open. `listening` are the sockets for devices, if they are open already.
+    `read` reads the settings again, as a new start would. `usual` are components that run unless the settings switch
+    them off; `own` are further ones by name. `around` begins before the first device is accepted, and ends after the
+    robots were stopped. `on_listening` is called when every port is open. `listening` are the sockets for devices, if
+    they are open already.
     """
+    chosen = chosen_components(config, usual)
     folders = config.message_folders  # one may be on a dead disk: the loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
     hub = Hub(config, catalog, guard=guard, read=read, slept_s=slept_s, computed_s=thread_time)
@@ -85,8 +87,9 @@ async def running(
         async with (
             _hub_running(hub),
             around(hub),
+            begun_first(hub, chosen),
             _listening(hub, config, listening, on_listening) as addresses,
-            _components(hub, config, own or {}),
+            begun(hub, chosen, own or {}),
         ):
             try:
                 yield hub, addresses
@@ -101,14 +104,6 @@ async def _hub_running(hub: Hub) -> AsyncIterator[None]:
     """Run the hub in a task group of its own, so that links live until they were shut down."""
     async with meanwhile(("hub", hub.run())):
         await hub.is_running.wait()
-        yield
-
-
-@contextlib.asynccontextmanager
-async def _components(hub: Hub, config: Config, own: Mapping[str, Make]) -> AsyncIterator[None]:
-    """Run the components that the settings switch on, and `own`."""
-    chosen: dict[str, Make] = {name: partial(kind, settings) for name, kind, settings in chosen_components(config)}
-    async with meanwhile(*((name, supervise(hub, name, make)) for name, make in {**own, **chosen}.items())):
         yield
 
 

@@ -152,7 +152,9 @@ async def test_histories_are_made_one_at_a_time(tmp_path: Path) -> None:
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         (incident,) = await saved(host)
         box = black_box_of(host.hub, tmp_path)
-        histories = HistoryRoutes(host_of(host.hub), box, box.folder)
+        own = host_of(host.hub)
+        own.offer(box)
+        histories = HistoryRoutes(own)
         histories._turn = Turn(1)
         handler_of = {route.path: route.handler for route in histories.routes()}
         handlers = [handler_of["/api/robots/{name}/history"], handler_of["/api/incidents/{name}/history"]]

@@ -9,7 +9,7 @@ import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 
 from hostlink.core.config import ApiConfig, Config
-from hostlink.core.hub.command_endpoint import CommandEndpoint
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.errors import DeviceGone
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics

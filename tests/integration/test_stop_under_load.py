@@ -9,7 +9,6 @@ import itertools
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from typing import Any
 
 import pytest
 from structlog.testing import capture_logs
@@ -24,7 +23,7 @@ from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.core.protocol.rosserial.stream import FrameStream
-from hostlink.core.robot.admission import LEASE_S
+from hostlink.core.robot.admission import LEASE_S, Command
 from hostlink.core.robot.velocity import ZERO, PlanarVelocity
 from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.workbench.sim.robot import SimulatedRobot
@@ -220,10 +219,10 @@ class OtherDaemon(RecordingHosts):
         super().__init__()
         self.driven: list[PlanarVelocity] = []
 
-    def drive(self, robot: RemoteRobot, velocity: PlanarVelocity, **facts: Any) -> None:
-        assert facts["priority"] == PROGRAM_PRIORITY
-        super().drive(robot, velocity, **facts)
-        self.driven.append(velocity)
+    def drive(self, robot: RemoteRobot, command: Command[PlanarVelocity]) -> None:
+        assert command.priority == PROGRAM_PRIORITY
+        super().drive(robot, command)
+        self.driven.append(command.velocity)
 
 
 @asynccontextmanager

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hostlink.cli.check import FEWEST, NODE_SHARES, check, fitted
 from hostlink.cli.serve import running
-from hostlink.components.gateway.listener import KEPT_FOR_REQUESTS
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS
 from hostlink.core.config import (
     ApiConfig,
     Config,

@@ -13,6 +13,7 @@ from aiohttp import web
 
 from hostlink.components.gateway.listener import MakeProtocol, PacedReading
 from hostlink.components.gateway.server import ApiServer, protocols_of
+from hostlink.components.gateway.settings import GatewaySettings
 from hostlink.core.config import BlackBoxConfig, Config, RecordingConfig
 from hostlink.core.hub.hub import Hub
 from tests.support.fake_device import CATALOG, robot_topics
@@ -178,7 +179,10 @@ class ApiMemory:
         )
         self.hub = Hub(config, CATALOG, reraises=True)
         self.host = host_of(self.hub)
-        self.server = ApiServer(self.host, config, recordings_of(self.hub))
+        recordings = recordings_of(self.hub)
+        for service in (recordings, recordings.black_box, recordings.drives):
+            self.host.offer(service)
+        self.server = ApiServer(self.host, GatewaySettings(api=config.api))
         self.make_protocol: MakeProtocol
         self.device: ScriptedDevice
 

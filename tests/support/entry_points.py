@@ -272,7 +272,7 @@ class RestPut(EntryPoint):
         host = host_in(made.hub)
         self._owners = Owners(host)
         unused = cast(Any, None)  # no request of a velocity asks for clients, drives or settings
-        rest = Rest(host, unused, unused, self._owners, unused)
+        rest = Rest(host, unused, unused, self._owners)
         (self._route,) = (each for each in rest.routes() if each.path.endswith("/velocity"))
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:

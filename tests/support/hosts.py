@@ -11,20 +11,20 @@ from hostlink.core.hub.hub import Hub
 
 def host_in(hub: Hub, name: str = "test") -> Host:
     """Make one that runs no tasks."""
-    return Host(hub, name, lambda work, _: work.close(), Counter())
+    return Host(hub, name, lambda work, _, **__: work.close(), Counter())
 
 
 def host_of(hub: Hub, name: str = "test") -> Host:
     """Make one whose tasks the hub runs."""
-    return Host(hub, name, lambda work, part: hub.spawn(work, name=part), Counter())
+    return Host(hub, name, lambda work, part, **_: hub.spawn(work, name=part), Counter())
 
 
 def recordings_of(hub: Hub) -> Recordings:
     """Make the recordings of a daemon with the hub's settings."""
-    return Recordings(host_of(hub, "recordings"), hub.config.recording, hub.config.black_box)
+    return Recordings(host_of(hub, "recorder"), hub.config.recording, hub.config.black_box)
 
 
 def black_box_of(hub: Hub, folder: Path) -> BlackBox:
     """Make the black box of a daemon with the hub's settings."""
     free_mb = hub.config.recording.min_free_disk_mb
-    return BlackBox(host_of(hub, "recordings"), hub.config.black_box, folder, min_free_disk_mb=free_mb)
+    return BlackBox(host_of(hub, "recorder"), hub.config.black_box, folder, min_free_disk_mb=free_mb)

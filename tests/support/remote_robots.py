@@ -3,10 +3,11 @@
 from collections.abc import Awaitable, Hashable
 from typing import Any
 
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.providers import Provision, RobotProvider
 from hostlink.core.hub.remote_robot import RemoteRobot
+from hostlink.core.robot.admission import Command
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.state import RobotState
 from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
 
@@ -17,18 +18,9 @@ class RecordingHosts(RobotProvider):
     def __init__(self) -> None:
         self.sent: list[tuple[Any, ...]] = []
 
-    def drive(
-        self,
-        robot: RemoteRobot,  # noqa: ARG002 - as the fleet has it
-        velocity: PlanarVelocity,
-        *,
-        owner: Hashable,
-        priority: int,
-        received_s: float,  # noqa: ARG002 - as the fleet has it
-        epoch: int | None,
-        take_over: bool,
-    ) -> None:
-        self.sent.append(("drive", velocity, owner, priority, epoch, *(["take over"] if take_over else [])))
+    def drive(self, robot: RemoteRobot, command: Command[PlanarVelocity]) -> None:  # noqa: ARG002 - as the fleet has it
+        facts = (command.velocity, command.source, command.priority, command.epoch)
+        self.sent.append(("drive", *facts, *(["take over"] if command.take_over else [])))
 
     def answer(self, robot: RemoteRobot, owner: Hashable) -> Awaitable[PlanarVelocity]:
         raise AssertionError(f"{robot.name} is asked for no answer to {owner}")

@@ -13,6 +13,8 @@ from hostlink.components.gateway.access import GRANT, Grant
 from hostlink.components.gateway.clients import Clients
 from hostlink.components.gateway.rest import Owners, Rest
 from hostlink.components.gateway.routes import BODY, CAME, Route, explain_errors
+from hostlink.components.gateway.settings import GatewaySettings
+from hostlink.components.recorder.drives import DriveLog
 from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
@@ -23,6 +25,7 @@ from tests.support.hosts import host_of
 from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
+from tests.support.waiting import expect
 
 
 class RestCalls:
@@ -32,7 +35,11 @@ class RestCalls:
         self.hub, host = hub, host_of(hub)
         self.host, self.owners = host, Owners(host)
         self._app = web.Application()
-        self.add(Rest(host, hub.config, Clients(4, max_per_address=4), self.owners, drives).routes())
+        if drives is not None:
+            hub.offers[DriveLog] = drives
+        config = hub.config
+        settings = GatewaySettings(api=config.api, tcp=config.tcp, udp=config.udp, serial=config.serial)
+        self.add(Rest(host, settings, Clients(4, max_per_address=4), self.owners).routes())
 
     def add(self, routes: Sequence[Route]) -> None:
         """Offer more paths."""
@@ -71,6 +78,12 @@ class RestMemory(RestCalls):
     async def begin(self, settle_s: float) -> None:
         self.device = ScriptedDevice(self.hub, self._topics, address="10.0.0.1")
         await asyncio.sleep(settle_s)
+        await expect(self._is_known)  # on a busy machine, in real time, that takes longer
+
+    def _is_known(self) -> bool:
+        """Whether the device has announced its topics, and the hub has decided which robot it is."""
+        known = self.hub.robots.device(self.device.link)
+        return known is not None and bool(known.link.session.counts.negotiations) and not known.is_undecided
 
     async def move_to(self, x_m: float, y_m: float, theta_rad: float) -> None:
         """Publish a pose of the robot."""

@@ -18,7 +18,7 @@ from urllib.parse import SplitResult, urlsplit
 import structlog
 from aiohttp import web
 
-from hostlink.components.gateway.listener import KEPT_FOR_REQUESTS
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS
 from hostlink.core.config import ApiConfig, TokenConfig, is_address
 from hostlink.core.host import Role
 from hostlink.core.runtime.logs import printable

@@ -148,7 +148,7 @@ class StateFeed:
     processor. It is encoded in slices, between which commands and devices have their turns.
     """
 
-    def __init__(self, host: Host, clients: Clients, recordings: Recordings) -> None:
+    def __init__(self, host: Host, clients: Clients) -> None:
         self.is_running = False  # when it ends, the streams of its readers end
         self.version = 0
         self.line_count = 0  # since the start
@@ -158,7 +158,7 @@ class StateFeed:
             _State(name="clients", interval_s=REFRESH_S, encode=self._encode_clients),
             _State(name="recordings", interval_s=REFRESH_S, encode=self._encode_recordings, is_repeated=False),
         )
-        self._host, self._clients, self._recordings = host, clients, recordings
+        self._host, self._clients = host, clients
         self._slices = Slices(host.turns())
         self._name = secrets.token_hex(4)  # the ids of another daemon's lines are others
         self._readers: set[Reader] = set()
@@ -173,7 +173,7 @@ class StateFeed:
         self._readers.add(reader)
         if not self.is_running:
             self.is_running = True
-            self._host.spawn(self._run(), name="events")
+            self._host.spawn(self._run(), name="events", is_vital=False)
         try:
             yield
         finally:
@@ -267,11 +267,18 @@ class StateFeed:
         return msgspec.json.encode({"clients": self._clients.views(), "refused": self._clients.refused})
 
     async def _encode_recordings(self) -> bytes:
-        box = self._recordings.black_box
+        recordings = self._host.offered(Recordings)
+        if recordings is None:
+            return _NO_RECORDINGS
+        box = recordings.black_box
         incidents = {"pending": len(box.pending), "saved": box.saved, "missed": box.missed}
-        under_way = [recording_view(each) for each in self._recordings.under_way()]
-        news = {"recordings": under_way, "changes": self._recordings.changes, "incidents": incidents}
+        under_way = [recording_view(each) for each in recordings.under_way()]
+        news = {"recordings": under_way, "changes": recordings.changes, "incidents": incidents}
         return msgspec.json.encode(news)
+
+
+_NO_INCIDENTS = {"pending": 0, "saved": 0, "missed": 0}
+_NO_RECORDINGS = msgspec.json.encode({"recordings": [], "changes": 0, "incidents": _NO_INCIDENTS})
 
 
 def _essence(view: RobotView) -> object:
@@ -301,10 +308,10 @@ Send = Callable[[bytes], Awaitable[None]]
 class Events:
     """The event streams."""
 
-    def __init__(self, host: Host, clients: Clients, recordings: Recordings) -> None:
+    def __init__(self, host: Host, clients: Clients) -> None:
         self._host = host
         self._clients = clients
-        self._feed = StateFeed(host, clients, recordings)
+        self._feed = StateFeed(host, clients)
 
     def routes(self) -> list[Route]:
         """Return the routes of both streams."""

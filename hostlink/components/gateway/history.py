@@ -16,15 +16,16 @@ import msgspec
 from aiohttp import web
 
 from hostlink.components.gateway.bodies import decode_body
-from hostlink.components.gateway.recordings import find_file, send_file
+from hostlink.components.gateway.recordings import find_file, needing_recorder, of_recorder, send_file
 from hostlink.components.gateway.routes import BODY, FILE, Route, reply, reply_encoded
 from hostlink.components.gateway.views import utc_text
 from hostlink.components.recorder.black_box import MAX_DETAIL, BlackBox
 from hostlink.components.recorder.channel import DEVICE, ROS1, VELOCITY, Channel
-from hostlink.components.recorder.folder import Folder, StoredFile
+from hostlink.components.recorder.folder import StoredFile
 from hostlink.components.recorder.history import PastPose, Rest, RobotHistory
 from hostlink.components.recorder.incident import Incident, IncidentFiles, SavedIncident, read_incident
 from hostlink.components.recorder.reader import McapReader
+from hostlink.components.recorder.recordings import Recordings
 from hostlink.components.recorder.ring import Entry
 from hostlink.core.host import Host, RecordedMotion, Role
 from hostlink.core.messages.catalog import Catalog
@@ -166,14 +167,14 @@ class Pauses:
 class HistoryRoutes:
     """The routes of histories and of incidents. One history is made at a time."""
 
-    def __init__(self, host: Host, black_box: BlackBox, recordings: Folder) -> None:
-        self._host, self._black_box, self._recordings = host, black_box, recordings
-        self._incidents = IncidentFiles(black_box.folder)
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self._incidents: IncidentFiles | None = None  # of the recorder that ran at the last request
         self._turn = asyncio.Semaphore(1)
 
     def routes(self) -> list[Route]:
         """Return the routes."""
-        return [
+        routes = [
             Route(
                 "/api/recordings/{name}/history",
                 self._of_recording,
@@ -192,9 +193,16 @@ class HistoryRoutes:
             ),
             Route("/api/incidents/{name}", self._file, None, media_type=FILE),
             Route("/api/incidents/{name}/history", self._of_incident, IncidentHistoryView),
+        ]
+        return [
+            *needing_recorder(routes),
             Route("/api/history", self._of_fleet, HistoriesView),
             Route("/api/robots/{name}/history", self._of_robot, HistoryView),
         ]
+
+    @property
+    def _black_box(self) -> BlackBox:
+        return of_recorder(self._host, BlackBox)
 
     async def _of_recording(self, request: web.Request) -> web.Response:
         """Path, commands, plots and events of the first robot in a recording, or of `?robot=NAME`.
@@ -203,7 +211,7 @@ class HistoryRoutes:
             UnknownTopic: there is no such recording, or no such robot in it.
             BadRequest: the file cannot be read.
         """
-        path = await find_file(self._recordings, request, "recording")
+        path = await find_file(of_recorder(self._host, Recordings).folder, request, "recording")
         robot = request.query.get("robot", "")
         try:
             async with self._turn:
@@ -215,6 +223,8 @@ class HistoryRoutes:
     async def _all_incidents(self, _: web.Request) -> web.Response:
         """Incidents of robots, the newest first."""
         box = self._black_box
+        if self._incidents is None or self._incidents.folder is not box.folder:
+            self._incidents = IncidentFiles(box.folder)
         pending = list(box.pending)
         saved = await asyncio.to_thread(self._incidents.newest_first)
         views = incident_views(pending, saved)
@@ -275,8 +285,9 @@ class HistoryRoutes:
 
     def _collect(self, motion: RecordedMotion) -> tuple[list[Iterator[Entry]], Pose | None, float]:
         """Copy the messages, the pose and the time in the event loop's thread, so that they belong together."""
-        present = motion.present
-        return self._black_box.rings.copies(motion.robot), None if present is None else present.pose, loop_time_s()
+        present, box = motion.present, self._host.offered(BlackBox)
+        copies = [] if box is None else box.rings.copies(motion.robot)
+        return copies, None if present is None else present.pose, loop_time_s()
 
     def _body(
         self,

@@ -24,7 +24,6 @@ from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.core.transport.base import READ_BYTES
 
 IDLE_TIMEOUT_S = 75.0  # after an answer, as in nginx: browsers and proxies reuse connections
-KEPT_FOR_REQUESTS = 16  # connections reserved for requests, not for WebSockets and event streams: a stop needs one
 
 
 @dataclass(slots=True, eq=False)
@@ -436,7 +435,9 @@ class ApiListener:
                 sock.close()
             else:
                 new.accepted = sock
-                self._host.spawn(self._open(sock, new, since_s, make_protocol, tls), name=f"connection of {address}")
+                self._host.spawn(
+                    self._open(sock, new, since_s, make_protocol, tls), name=f"connection of {address}", is_vital=False
+                )
             if new is None or leaving is not None:
                 self._log_crowd(address)
 

@@ -21,10 +21,10 @@ from hostlink.components.gateway.clients import Clients
 from hostlink.components.gateway.listener import ApiConnections
 from hostlink.components.gateway.rest import Owners
 from hostlink.components.gateway.routes import Route
+from hostlink.components.recorder.black_box import BlackBox
 from hostlink.components.recorder.folder import MEGABYTE, DiskUsage, Folder
 from hostlink.components.recorder.recordings import Recordings
-from hostlink.core.config import BlackBoxConfig
-from hostlink.core.host import LinkMeasures, Measures, RobotMeasures
+from hostlink.core.host import Host, LinkMeasures, RobotMeasures
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime import logs
 from hostlink.core.runtime.latency import Latency
@@ -89,19 +89,16 @@ class Metrics:
 
     def __init__(
         self,
-        measures: Measures,
+        host: Host,
         clients: Clients,
         limit: RateLimit,
         connections: ApiConnections,
         owners: Owners,
-        recordings: Recordings,
-        black_box: BlackBoxConfig,
     ) -> None:
         self.to_client = Latency()  # from the arrival of a message to the client's socket
-        self._measures, self._clients, self._limit, self._connections = measures, clients, limit, connections
-        self._owners, self._recordings, self._black_box = owners, recordings, black_box
+        self._host, self._measures = host, host.measures
+        self._clients, self._limit, self._connections, self._owners = clients, limit, connections, owners
         self._process = ProcessCollector(registry=None)
-        self._folders = {"recordings": recordings.folder, "incidents": recordings.black_box.folder}
         self._looking: asyncio.Future[dict[str, DiskUsage]] | None = None
         self._usage: dict[str, DiskUsage] = {}
         self._disk_due_s = 0.0
@@ -118,9 +115,10 @@ class Metrics:
 
     async def _observe_disk(self) -> None:
         """Measure the disk in a thread, one measurement at a time and at most every DISK_INTERVAL_S."""
-        loop = asyncio.get_running_loop()
-        if self._looking is None and loop.time() >= self._disk_due_s:
-            self._looking = loop.run_in_executor(None, _usage_of, self._folders)
+        loop, recordings = asyncio.get_running_loop(), self._host.offered(Recordings)
+        if recordings is not None and self._looking is None and loop.time() >= self._disk_due_s:
+            folders = {"recordings": recordings.folder, "incidents": recordings.black_box.folder}
+            self._looking = loop.run_in_executor(None, _usage_of, folders)
             self._looking.add_done_callback(self._note_usage)
         if self._looking is not None:
             found, _ = await asyncio.wait({self._looking}, timeout=DISK_TIMEOUT_S)
@@ -139,8 +137,9 @@ class Metrics:
         for links in _slices(self._measures.links()):
             yield from self._of_links(links)
         yield from self._of_clients()
-        yield from self._of_recordings()
-        yield from self._of_black_box()
+        if (recordings := self._host.offered(Recordings)) is not None:
+            yield from _of_recordings(recordings)
+            yield from _of_black_box(recordings.black_box)
         for name, text in _DISK.items():
             usage = [(folder, getattr(each, name)) for folder, each in self._usage.items()]
             yield _gauge(f"disk_{name}", text, usage, "folder")
@@ -267,27 +266,28 @@ class Metrics:
         closed = self._connections.closed.items()
         yield _counter("api_connections_closed", "Connections refused or closed by hostlink, by cause", closed, "cause")
 
-    def _of_recordings(self) -> Iterator[Metric]:
-        recordings = self._recordings
-        totals = recordings.totals()
-        yield _gauge("recordings_running", "Running recordings", len(recordings.under_way()))
-        yield _counter("recording_messages", "Messages written", totals.messages)
-        yield _counter("recording_bytes", "Bytes written", totals.written_bytes)
-        yield _counter("recording_dropped", "Messages dropped because the disk was too slow or full", totals.dropped)
-        yield _counter("recordings_failed", "Recordings that failed", recordings.failed)
-        yield _counter("recordings_removed", "Old files removed for the budget", recordings.removed)
 
-    def _of_black_box(self) -> Iterator[Metric]:
-        box, config = self._recordings.black_box, self._black_box
-        yield _gauge("incidents_pending", "Incidents not saved yet", len(box.pending))
-        outcomes = [("saved", box.saved), ("failed", box.missed)]
-        yield _counter("incidents", "Incidents, by outcome", outcomes, "outcome")
-        yield _gauge("black_box_bytes", "Memory of the black box", box.rings.size_bytes)
-        max_bytes = config.max_memory_mb * MEGABYTE if config.enabled else 0
-        yield _gauge("black_box_max_bytes", "Memory limit of the black box; 0: off", max_bytes)
-        keep_s = config.before_s if config.enabled else 0
-        yield _gauge("black_box_keep_seconds", "Time before an incident that is saved; 0: off", keep_s)
-        yield _counter("black_box_dropped", "Messages removed early because of the memory limit", box.rings.dropped)
+def _of_recordings(recordings: Recordings) -> Iterator[Metric]:
+    totals = recordings.totals()
+    yield _gauge("recordings_running", "Running recordings", len(recordings.under_way()))
+    yield _counter("recording_messages", "Messages written", totals.messages)
+    yield _counter("recording_bytes", "Bytes written", totals.written_bytes)
+    yield _counter("recording_dropped", "Messages dropped because the disk was too slow or full", totals.dropped)
+    yield _counter("recordings_failed", "Recordings that failed", recordings.failed)
+    yield _counter("recordings_removed", "Old files removed for the budget", recordings.removed)
+
+
+def _of_black_box(box: BlackBox) -> Iterator[Metric]:
+    config = box.config
+    yield _gauge("incidents_pending", "Incidents not saved yet", len(box.pending))
+    outcomes = [("saved", box.saved), ("failed", box.missed)]
+    yield _counter("incidents", "Incidents, by outcome", outcomes, "outcome")
+    yield _gauge("black_box_bytes", "Memory of the black box", box.rings.size_bytes)
+    max_bytes = config.max_memory_mb * MEGABYTE if config.enabled else 0
+    yield _gauge("black_box_max_bytes", "Memory limit of the black box; 0: off", max_bytes)
+    keep_s = config.before_s if config.enabled else 0
+    yield _gauge("black_box_keep_seconds", "Time before an incident that is saved; 0: off", keep_s)
+    yield _counter("black_box_dropped", "Messages removed early because of the memory limit", box.rings.dropped)
 
 
 def _by_axis(robot: str, velocity: PlanarVelocity) -> Iterator[tuple[tuple[str, str], float]]:

@@ -1,11 +1,12 @@
 """Recordings over REST: start, stop, list, download and remove them."""
 
 import asyncio
+import dataclasses
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, NotRequired, TypedDict
+from typing import Annotated, NotRequired, TypedDict, TypeVar
 
 import msgspec
 from aiohttp import web
@@ -14,16 +15,17 @@ from aiohttp.http_exceptions import HttpProcessingError
 from hostlink.components.gateway.access import caller_name
 from hostlink.components.gateway.bodies import decode_body
 from hostlink.components.gateway.routes import BODY, FILE, Route, reply
-from hostlink.components.recorder.folder import MEGABYTE, NAME_PATTERN, Folder, StoredFile
+from hostlink.components.recorder.folder import NAME_PATTERN, Folder, StoredFile
 from hostlink.components.recorder.recorder import TopicSelection
 from hostlink.components.recorder.recordings import Recording, Recordings
-from hostlink.core.host import Role
-from hostlink.errors import BadRequest, UnknownTopic
+from hostlink.core.host import Host, Role
+from hostlink.errors import BadRequest, ComponentGone, UnknownTopic
 
 MAX_PATTERNS = 256  # topics and robots in one request
 MAX_LISTED = 1000  # files; the newest are listed
 UPLOAD_S, SLOWEST_BYTES_S = 30.0, 50_000  # longest time of an upload: this, and its size at this rate
 PIECE_S = 10.0  # longest pause of an upload
+Service = TypeVar("Service")
 _BUSY, _FULL = HTTPStatus.CONFLICT, HTTPStatus.INSUFFICIENT_STORAGE
 
 
@@ -76,17 +78,38 @@ class RemovedView(TypedDict):
     removed: str
 
 
+def of_recorder(host: Host, kind: type[Service]) -> Service:
+    """Return what the recorder offers of this type: `Recordings`, `BlackBox` or `DriveLog`.
+
+    Raises:
+        ComponentGone: it does not run.
+    """
+    found = host.offered(kind)
+    if found is None:
+        raise ComponentGone("recorder")
+    return found
+
+
+def needing_recorder(routes: Iterable[Route]) -> list[Route]:
+    """Return the routes with the status of an answer without a recorder."""
+    return [dataclasses.replace(route, fails=(*route.fails, HTTPStatus.SERVICE_UNAVAILABLE)) for route in routes]
+
+
 class RecordingRoutes:
     """The routes of recordings."""
 
-    def __init__(self, recordings: Recordings, max_file_mb: float) -> None:
-        self._recordings, self._max_file_mb = recordings, max_file_mb
+    def __init__(self, host: Host) -> None:
+        self._host = host
+
+    @property
+    def _recordings(self) -> Recordings:
+        return of_recorder(self._host, Recordings)
 
     def routes(self) -> list[Route]:
         """Return the routes."""
         path = "/api/recordings"
         one = f"{path}/{{name}}"
-        return [
+        routes = [
             Route(path, self._all, RecordingsView),
             Route(
                 path,
@@ -117,10 +140,12 @@ class RecordingRoutes:
             Route(f"{one}/stop", self._stop, RecordingView, method="POST", role=Role.DRIVE),
             Route(one, self._remove, RemovedView, method="DELETE", role=Role.DRIVE, fails=(_BUSY,)),
         ]
+        return needing_recorder(routes)
 
     async def _all(self, _: web.Request) -> web.Response:
         """Running recordings, and the files."""
-        recordings, folder = self._recordings, self._recordings.folder
+        recordings = self._recordings
+        folder = recordings.folder
         files = await asyncio.to_thread(folder.files, recordings.open_files())
         return reply(
             {
@@ -134,10 +159,11 @@ class RecordingRoutes:
         """Record topics, events, log and parameters into an MCAP file."""
         shape = '{"topics": [names or patterns], "robots": [names], "name": letters, digits and . _ + -}, or empty'
         body = decode_body(request[BODY] or b"{}", RecordingRequest, shape)
+        recordings = self._recordings
         for robot in body.robots:
-            self._recordings.check_robot(robot)
+            recordings.check_robot(robot)
         selection = TopicSelection(tuple(body.topics), tuple(body.robots))
-        recording = await self._recordings.start(selection, name=body.name, owner=caller_name(request))
+        recording = await recordings.start(selection, name=body.name, owner=caller_name(request))
         return reply(recording_view(recording))
 
     async def _stop(self, request: web.Request) -> web.Response:
@@ -150,7 +176,8 @@ class RecordingRoutes:
 
     async def _store(self, request: web.Request) -> web.Response:
         """Store an MCAP file as a recording of that name, at most recording.max_file_mb large, one at a time."""
-        size_bytes, most_bytes = request.content_length, int(self._max_file_mb * MEGABYTE)
+        recordings = self._recordings
+        size_bytes, most_bytes = request.content_length, recordings.max_file_bytes
         if size_bytes is None:
             raise BadRequest("the request has no Content-Length: the size of the file")
         if size_bytes > most_bytes:
@@ -159,7 +186,7 @@ class RecordingRoutes:
             )
         try:
             async with asyncio.timeout(UPLOAD_S + size_bytes / SLOWEST_BYTES_S):
-                path = await self._recordings.store(request.match_info["name"], size_bytes, _pieces(request))
+                path = await recordings.store(request.match_info["name"], size_bytes, _pieces(request))
         except TimeoutError:
             raise web.HTTPRequestTimeout(reason="the file did not arrive in time") from None
         return reply(_stored_view(StoredFile(path.name, size_bytes, time.time())))

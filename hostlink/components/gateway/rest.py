@@ -15,15 +15,18 @@ from aiohttp import web
 from hostlink.components.gateway.access import GRANT, caller_name
 from hostlink.components.gateway.bodies import convert_velocity, decode_body, whole_number
 from hostlink.components.gateway.clients import Clients, ClientView
+from hostlink.components.gateway.recordings import of_recorder
 from hostlink.components.gateway.routes import BODY, CAME, Route, error_status, error_view, refusal, reply
+from hostlink.components.gateway.settings import GatewaySettings
 from hostlink.components.gateway.views import Slices, VelocityAnswer, links_view, utc_text, velocity_answer
 from hostlink.components.recorder.drives import Drive, DriveLog
-from hostlink.core.config import Config, TcpConfig, UdpConfig
+from hostlink.core.config import TcpConfig, UdpConfig
 from hostlink.core.host import (
     LOCK_REASON,
     MAX_WAIT_S,
     PROGRAM_PRIORITY,
     WAIT_S,
+    CommandEndpoint,
     Host,
     Listening,
     Participant,
@@ -31,6 +34,7 @@ from hostlink.core.host import (
     RobotHandle,
     Role,
 )
+from hostlink.core.robot.command_endpoint import command_endpoint_view
 from hostlink.core.robot.device_views import ArrivalView, DevicesView, FindingView, LinksView
 from hostlink.core.robot.state import MAX_PRIORITY
 from hostlink.core.robot.state_views import odometry_view, robot_view, stopped_view
@@ -119,21 +123,21 @@ class DaemonDiagnosisView(TypedDict):
     arrivals: list[ArrivalView]
 
 
-def listening_text(listening: Listening, config: Config) -> str:
+def listening_text(listening: Listening, settings: GatewaySettings) -> str:
     """Describe where devices connect: `listening on TCP 0.0.0.0:11411, /dev/ttyACM0`."""
     addresses = (("TCP", listening.tcp), ("UDP", listening.udp))
     places = [f"{name} {spelled(*address)}" for name, address in addresses if address is not None]
-    places += [port.name for port in config.serial]
+    places += [port.name for port in settings.serial]
     return f"listening on {', '.join(places)}" if places else "listening on no port"
 
 
-def listening_view(listening: Listening, config: Config, address: str | None = None) -> ListeningView:
+def listening_view(listening: Listening, settings: GatewaySettings, address: str | None = None) -> ListeningView:
     """Return the addresses that devices connect to. `address` is this computer's in its network."""
     return {
         "tcp": _address(listening.tcp),
         "udp": _address(listening.udp),
-        "serial": [{"port": port.name, "bauds": list(port.bauds)} for port in config.serial],
-        "simulate": _simulate(listening.tcp, config.tcp) or _simulate(listening.udp, config.udp, " --udp"),
+        "serial": [{"port": port.name, "bauds": list(port.bauds)} for port in settings.serial],
+        "simulate": _simulate(listening.tcp, settings.tcp) or _simulate(listening.udp, settings.udp, " --udp"),
         "address": address,
     }
 
@@ -305,9 +309,8 @@ class ReadinessView(TypedDict):
 class Rest:
     """Handlers of the routes. Each calls the host and returns its result."""
 
-    def __init__(self, host: Host, config: Config, clients: Clients, owners: Owners, drives: DriveLog) -> None:
-        self._host, self._config, self._clients, self._owners = host, config, clients, owners
-        self._drives = drives
+    def __init__(self, host: Host, settings: GatewaySettings, clients: Clients, owners: Owners) -> None:
+        self._host, self._settings, self._clients, self._owners = host, settings, clients, owners
 
     def routes(self) -> list[Route]:
         """Return the routes."""
@@ -383,7 +386,7 @@ class Rest:
             Route("/api/devices", self._devices, DevicesView),
             Route("/api/topics", self._topics, TopicsView),
             Route("/api/clients", self._all_clients, ClientsView),
-            Route("/api/drives", self._all_drives, DrivesView, fails=(BAD_REQUEST,)),
+            Route("/api/drives", self._all_drives, DrivesView, fails=(BAD_REQUEST, UNAVAILABLE)),
             Route("/api/listening", self._listening, ListeningView),
             Route("/api/diagnosis", self._diagnosis, DaemonDiagnosisView),
             Route(
@@ -467,13 +470,13 @@ class Rest:
         The topics that command a motion and are not a robot's are listed, with those that could not be sent a zero. If
         a robot could not be sent one, or a daemon did not answer, the error's answer has all of that, too.
         """
-        return await self._halt(request, partial(self._host.stops.stop_all, by=_caller(request)))
+        return await self._halt(request, partial(self._host.stops.stop, by=_caller(request)))
 
     async def _halt(
         self, request: web.Request, halt: Callable[[], object], robot: RobotHandle | None = None
     ) -> web.Response:
         """Stop or lock the robot, or all, and measure. A failure is answered with what became of all the others."""
-        since_s, failure, found = loop_time_s(), None, list[CommandEndpointView]()
+        since_s, failure, found = loop_time_s(), None, list[CommandEndpoint]()
         try:
             halt()
         except HostlinkError as error:  # the others have been sent theirs
@@ -482,8 +485,8 @@ class Rest:
             found = await self._host.stops.settled()
         except HostlinkError as error:
             failure = failure or error
-        endpoints = self._host.stops.endpoints() if robot is None else robot.endpoints()
-        return await self._measured(request, since_s, robot, endpoints=[*endpoints, *found], failure=failure)
+        endpoints = [*(robot or self._host.stops).endpoints(), *found]
+        return await self._measured(request, since_s, robot, endpoints=endpoints, failure=failure)
 
     async def _standstill(self, request: web.Request) -> web.Response:
         """Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)."""
@@ -499,26 +502,22 @@ class Rest:
         since_s: float,
         robot: RobotHandle | None = None,
         *,
-        endpoints: Sequence[CommandEndpointView] | None = None,
+        endpoints: Sequence[CommandEndpoint] | None = None,
         failure: HostlinkError | None = None,
     ) -> web.Response:
         """Measure whether the robot is stopped, or whether all are. Every stop has been sent before this waits."""
-        found: dict[str, object]
-        wait_s = _wait_s(request)
-        if robot is None:
-            measured = await self._host.stops.measure_all(since_s, wait_s=wait_s)
-            found = {"robots": [stopped_view(*each) for each in measured]}
-        else:
-            found = {**stopped_view(*await robot.measure(since_s, wait_s=wait_s))}
+        measured = await (robot or self._host.stops).measure(since_s, wait_s=_wait_s(request))
+        views = [stopped_view(*each) for each in measured]
+        found: dict[str, object] = {"robots": views} if robot is None else {**views[0]}
         if endpoints is not None:
-            found["endpoints"] = endpoints
+            found["endpoints"] = [command_endpoint_view(each) for each in endpoints]
         if failure is None:
             return reply(found)
         return reply({**error_view(failure), **found}, error_status(failure))
 
     def _lock_all_at_once(self, request: web.Request) -> None:
         with contextlib.suppress(HostlinkError):  # `_lock_all` answers it
-            self._host.stops.lock_all(by=_caller(request))
+            self._host.stops.lock(by=_caller(request))
 
     def _lock_at_once(self, request: web.Request) -> None:
         robot = self._find_to_stop(request)
@@ -534,13 +533,13 @@ class Rest:
         try:  # an invalid reason locks, too
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; all are locked')
         except BadRequest:
-            stops.lock_all(by=by)
+            stops.lock(by=by)
             raise
-        return await self._halt(request, partial(stops.lock_all, body.reason, by=by))
+        return await self._halt(request, partial(stops.lock, body.reason, by=by))
 
     async def _unlock_all(self, request: web.Request) -> web.Response:
         """Unlock every robot and board."""
-        self._host.stops.unlock_all(by=_caller(request))
+        self._host.stops.unlock(by=_caller(request))
         await self._host.stops.settled()
         return await self._robots(request)
 
@@ -598,17 +597,18 @@ class Rest:
         limit = None if text is None else whole_number(text, MAX_DIGITS)
         if text is not None and limit is None:
             raise BadRequest("limit must be a number: how many drives")
-        drives = self._drives.newest_first(robot=request.query.get("robot"), limit=limit)
-        return reply({"drives": [_drive_view(drive) for drive in drives], "lost": self._drives.lost})
+        log = of_recorder(self._host, DriveLog)
+        drives = log.newest_first(robot=request.query.get("robot"), limit=limit)
+        return reply({"drives": [_drive_view(drive) for drive in drives], "lost": log.lost})
 
     async def _listening(self, _: web.Request) -> web.Response:
         """Addresses and serial ports where devices connect."""
-        return reply(listening_view(self._host.listening, self._config, own_address()))
+        return reply(listening_view(self._host.listening, self._settings, own_address()))
 
     async def _diagnosis(self, _: web.Request) -> web.Response:
         """Findings that belong to no link, and what came in the last minute and is not a robot."""
         devices = self._host.devices
-        findings = devices.findings(listening_text(self._host.listening, self._config))
+        findings = devices.findings(listening_text(self._host.listening, self._settings))
         return reply({"findings": findings, "arrivals": devices.arrivals()})
 
     async def _reload(self, _: web.Request) -> web.Response:

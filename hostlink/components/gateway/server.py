@@ -21,13 +21,7 @@ from hostlink.components.gateway.clients import Client, ClientQueue, Clients
 from hostlink.components.gateway.events import Events
 from hostlink.components.gateway.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.components.gateway.history import HistoryRoutes
-from hostlink.components.gateway.listener import (
-    KEPT_FOR_REQUESTS,
-    ApiConnections,
-    ApiListener,
-    MakeProtocol,
-    reading_of,
-)
+from hostlink.components.gateway.listener import ApiConnections, ApiListener, MakeProtocol, reading_of
 from hostlink.components.gateway.metrics import Metrics
 from hostlink.components.gateway.recordings import RecordingRoutes
 from hostlink.components.gateway.rest import Owners, Rest
@@ -48,8 +42,8 @@ from hostlink.components.gateway.routes import (
     refuse_unreadable,
     reply,
 )
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, GatewaySettings
 from hostlink.components.gateway.web_socket import ClientSocket, close_going_away
-from hostlink.components.recorder.recordings import Recordings
 from hostlink.core.config import ApiConfig, Config
 from hostlink.core.host import Host, Role
 from hostlink.core.runtime.acceptor import bind, why
@@ -102,8 +96,8 @@ class OpenApiView(TypedDict):
 class ApiServer:
     """The HTTP server and its WebSocket clients."""
 
-    def __init__(self, host: Host, settings: Config, recordings: Recordings) -> None:
-        self._host, self._settings, self._recordings = host, settings, recordings
+    def __init__(self, host: Host, settings: GatewaySettings) -> None:
+        self._host, self._settings = host, settings
         host.on_reload(self._prepare_access)
         self._grants = Grants()
         self._config = config = settings.api
@@ -121,9 +115,7 @@ class ApiServer:
         )
         self._owners = Owners(host)
         self._directory = FoxgloveDirectory(host)
-        self._metrics = Metrics(
-            host.measures, self._clients, self._limit, connections, self._owners, recordings, settings.black_box
-        )
+        self._metrics = Metrics(host, self._clients, self._limit, connections, self._owners)
         self._sockets: set[web.WebSocketResponse] = set()
         self._turns = host.turns()  # shared by all requests
         self._by_handler: dict[Handler, Route] = {}
@@ -133,11 +125,11 @@ class ApiServer:
         """Return the aiohttp application with all routes."""
         app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
         routes = [
-            *Rest(self._host, self._settings, self._clients, self._owners, self._recordings.drives).routes(),
-            *Events(self._host, self._clients, self._recordings).routes(),
+            *Rest(self._host, self._settings, self._clients, self._owners).routes(),
+            *Events(self._host, self._clients).routes(),
             *Captures(self._host.devices).routes(),
-            *RecordingRoutes(self._recordings, self._settings.recording.max_file_mb).routes(),
-            *HistoryRoutes(self._host, self._recordings.black_box, self._recordings.folder).routes(),
+            *RecordingRoutes(self._host).routes(),
+            *HistoryRoutes(self._host).routes(),
             self._metrics.route(),
             Route("/api/openapi.json", self._openapi, OpenApiView, role=None),
         ]
@@ -363,13 +355,13 @@ def url_of(host: str, port: int, *, has_tls: bool) -> str:
 
 
 @contextlib.asynccontextmanager
-async def serve_api(host: Host, settings: Config, recordings: Recordings) -> AsyncIterator[str]:
+async def serve_api(host: Host, settings: GatewaySettings) -> AsyncIterator[str]:
     """Serve within the block. Yields the address as a URL.
 
     Raises:
         ConfigError: the port is in use, or the address is invalid.
     """
-    server, config = ApiServer(host, settings, recordings), settings.api
+    server, config = ApiServer(host, settings), settings.api
     runner = web.AppRunner(
         server.application(),
         access_log=None,

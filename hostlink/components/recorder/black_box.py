@@ -71,7 +71,7 @@ class BlackBox:
         self._memory = RingMemory(max_bytes, purpose=self._purpose if config.enabled else None)
         self.rings = Rings(self._memory, keep_s=config.before_s + config.after_s)
         self._add = self.rings.add
-        self._host, self._config = host, config
+        self._host, self.config = host, config
         self._now_s = asyncio.get_running_loop().time  # lines of other threads are kept, too
         self._rules = IncidentRules()
         self._channels: defaultdict[str, dict[Channel, None]] = defaultdict(dict)  # by robot
@@ -88,14 +88,14 @@ class BlackBox:
 
         `on_last_commands` gets the last drivers of that process.
         """
-        if self._config.enabled:
+        if self.config.enabled:
             disk = (self.folder.max_disk_mb, self.folder.min_free_disk_mb)
-            self._memory.put_fact(ABOUT, About(str(self.folder.path.absolute()), *disk, self._config.before_s))
+            self._memory.put_fact(ABOUT, About(str(self.folder.path.absolute()), *disk, self.config.before_s))
             if self._memory.folder is None:
                 log.warning("black_box.volatile", reason=f"no room on {remains.PLACE}")
             self._recorder.start()
             self._observer.observe(self._receive)
-        self._host.spawn(self._salvage(on_last_commands), name="incidents of an earlier process")
+        self._host.spawn(self._salvage(on_last_commands), name="incidents of an earlier process", is_vital=False)
 
     async def aclose(self) -> None:
         """Stop recording, and save pending incidents without the rest of their half minute.
@@ -142,7 +142,7 @@ class BlackBox:
             RecordingFailed: the disk refuses.
         """
         found = self._host.robot(robot, is_here=True)
-        if not self._config.enabled:
+        if not self.config.enabled:
             raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
         incident = Incident(found.name, "requested", reason[:MAX_DETAIL], time.time_ns(), self._now_s())
         try:
@@ -154,7 +154,7 @@ class BlackBox:
         requested = sum(each.cause == "requested" for each in self.pending)
         if requested >= MAX_REQUESTED or not self._begin(incident):
             raise RecordingBusy(
-                f"{requested} incidents are being saved on request; try again in {self._config.after_s:g} s"
+                f"{requested} incidents are being saved on request; try again in {self.config.after_s:g} s"
             )
         return incident
 
@@ -182,11 +182,11 @@ class BlackBox:
         channels = itertools.islice(reversed(self._channels.get(incident.robot, {})), MAX_FACT_CHANNELS)
         self._memory.put_fact(name, Pending(incident, list(channels)))
         log.warning("incident.begun", robot=incident.robot, cause=incident.cause, detail=incident.detail[:MAX_DETAIL])
-        self._host.spawn(self._save_later(incident), name=f"incident of {incident.robot}")
+        self._host.spawn(self._save_later(incident), name=f"incident of {incident.robot}", is_vital=False)
         return True
 
     async def _save_later(self, incident: Incident) -> None:
-        await asyncio.sleep(self._config.after_s)
+        await asyncio.sleep(self.config.after_s)
         await self._save(incident)
 
     async def _save(self, incident: Incident) -> None:
@@ -196,7 +196,7 @@ class BlackBox:
             self.pending.remove(incident)
             entries = self.rings.copies(incident.robot)
             channels = list(self._channels.get(incident.robot, ()))
-            before_s, rest, fact = self._config.before_s, self._rest, self._unsaved[incident]
+            before_s, rest, fact = self.config.before_s, self._rest, self._unsaved[incident]
 
             def write() -> Path:
                 path = write_incident(self.folder, incident, channels, entries, before_s=before_s, rest=rest)

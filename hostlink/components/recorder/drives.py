@@ -262,10 +262,10 @@ class DriveLog:
     async def start(self) -> None:
         """Log every drive from now on, after the drives in the file."""
         if self._is_kept:
-            self._recent.extend(await asyncio.to_thread(read_drives, self._folder))
+            self._recent.extend(await self._thread.run(lambda: read_drives(self._folder)))
         self._observer.observe(self._receive)
-        self._host.spawn(self._write_changes(), name="drives that change")
-        self._host.spawn(self._finish(), name="drives")
+        self._host.spawn(self._write_changes(), name="drives that change", is_vital=False)
+        self._host.spawn(self._finish(), name="drives", is_vital=False)
 
     def correct(self, commands: list[LastCommand]) -> None:
         """Set the ends of drives that an earlier daemon did not end. The file has them already."""

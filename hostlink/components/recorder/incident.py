@@ -129,7 +129,7 @@ class IncidentFiles:
     """Incidents of a folder. Each file's beginning is read once; every method waits for the disk."""
 
     def __init__(self, folder: Folder) -> None:
-        self._folder = folder
+        self.folder = folder
         self._known: dict[StoredFile, Incident] = {}
 
     def newest_first(self) -> list[SavedIncident]:
@@ -139,8 +139,8 @@ class IncidentFiles:
             OSError: the folder cannot be read.
         """
         known: dict[StoredFile, Incident] = {}
-        for file in self._folder.files()[-MAX_LISTED:]:
-            incident = self._known.get(file) or read_incident(self._folder.path / file.name)
+        for file in self.folder.files()[-MAX_LISTED:]:
+            incident = self._known.get(file) or read_incident(self.folder.path / file.name)
             if incident is not None:
                 known[file] = incident
         self._known = known

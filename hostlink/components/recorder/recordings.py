@@ -82,6 +82,7 @@ class Recordings:
         self.removed = 0  # old recordings removed for the budget
         self.failed = 0  # recordings that ended by a failure
         self.changes = 0  # changes of the folder: a recording ended, or files were removed
+        self.max_file_bytes = int(config.max_file_mb * MEGABYTE)
         self._host, self._config, self._has_black_box = host, config, black_box.enabled
         self._under_way: dict[str, Recording] = {}
         self._starting: set[str] = set()
@@ -145,7 +146,7 @@ class Recordings:
         recording = Recording(name, owner, selection, recorder, thread, began_s, time.time_ns())
         self._under_way[name] = recording
         recorder.start()
-        self._host.spawn(self._look_after(recording), name=f"recording {name}")
+        self._host.spawn(self._look_after(recording), name=f"recording {name}", is_vital=False)
         log.info("recording.started", recording=name, file=str(recording.thread.paths[0]), owner=owner)
         return recording
 
@@ -249,7 +250,7 @@ class Recordings:
         self.black_box.start(self.drives.correct)
         if self._config.drives or self._has_black_box:
             self._report(*found)
-            self._host.spawn(self._watch_folder(), name="folder of recordings")
+            self._host.spawn(self._watch_folder(), name="folder of recordings", is_vital=False)
 
     async def _watch_folder(self) -> None:
         """Tell while nothing can be saved, and make a removed folder again."""
@@ -300,7 +301,7 @@ class Recordings:
                 "topics": " ".join(selection.topics),
                 "robots": " ".join(selection.robots),
             },
-            max_file_bytes=int(self._config.max_file_mb * MEGABYTE),
+            max_file_bytes=self.max_file_bytes,
             max_file_s=self._config.max_file_s,
             fsync=self._config.fsync,
             on_end=lambda: self._note_end(name),

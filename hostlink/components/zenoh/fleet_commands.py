@@ -38,7 +38,7 @@ from hostlink.components.zenoh.fleet_messages import (
 from hostlink.components.zenoh.fleet_orders import ANSWER_TIMEOUT_S, FleetOrders, Order
 from hostlink.components.zenoh.roster import FleetRoster, Neighbour
 from hostlink.components.zenoh.session import ZenohSample
-from hostlink.core.host import CommandEndpoint, Host, Participant, ProvidedRobot, RobotHere, RobotProvider
+from hostlink.core.host import Command, CommandEndpoint, Host, Participant, ProvidedRobot, RobotHere, RobotProvider
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from hostlink.core.runtime.logs import of_peer, printable
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -262,46 +262,35 @@ class FleetRequests(RobotProvider):
 
     # -- RobotProvider ------------------------------------------------------------------------------------------------
 
-    def drive(
-        self,
-        robot: ProvidedRobot,
-        velocity: PlanarVelocity,
-        *,
-        owner: Hashable,
-        priority: int,
-        received_s: float,
-        epoch: int | None,
-        take_over: bool,
-    ) -> None:
-        """Send a command of an owner. It is as old there as here, and older by its way.
+    def drive(self, robot: ProvidedRobot, command: Command[PlanarVelocity]) -> None:
+        """Send a command. It is as old there as here, and older by its way.
 
         Raises:
             HostlinkError: the previous command was refused, and its sender does not know it yet.
         """
-        neighbour, now_s = self._neighbour(robot), loop_time_s()
+        neighbour, now_s, owner = self._neighbour(robot), loop_time_s(), command.source
         before = self._newest.pop((owner, robot.name), None)
-        if before is not None and not velocity.is_zero:
+        if before is not None and not command.velocity.is_zero:
             self._raise_refusal(before, now_s)
-        if not velocity.is_zero and not neighbour.answers(now_s, ANSWER_TIMEOUT_S):
+        if not command.velocity.is_zero and not neighbour.answers(now_s, ANSWER_TIMEOUT_S):
             raise DeviceGone(robot.name, f"{robot.host} does not answer; its robots stop there by themselves")
         neighbour.unanswered_since_s = min(neighbour.unanswered_since_s, now_s)
         if owner not in self._owners:
             self._owners[owner] = next(self._owner_numbers)
-        command = _Command(next(self._numbers), neighbour, robot, owner, now_s)
-        self._newest[owner, robot.name] = command
-        self._waiting[command.number] = command
+        sent = _Command(next(self._numbers), neighbour, robot, owner, now_s)
+        self._newest[owner, robot.name] = self._waiting[sent.number] = sent
         if len(self._waiting) > MAX_WAITING:
             del self._waiting[next(iter(self._waiting))]
         request = FleetCommand(
-            number=command.number,
-            sent_s=self._transport.clock_s(received_s),
+            number=sent.number,
+            sent_s=self._transport.clock_s(command.received_s),
             robot=robot.name,
             owner=self._owners[owner],
             owner_name=printable(str(owner)),
-            velocity=velocity.twist,
-            priority=priority,
-            epoch=epoch,
-            take_over=take_over,
+            velocity=command.velocity.twist,
+            priority=command.priority,
+            epoch=command.epoch,
+            take_over=command.take_over,
         )
         self._transport.put("drive", request, to=neighbour.sender.zid)
 

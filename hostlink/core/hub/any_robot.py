@@ -4,12 +4,12 @@ from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Hashable, Iterable
 from typing import Any
 
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.gates import VelocityTarget
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.remote_state import RemoteLink, RemoteOdometry
 from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import Command
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.names import SURE_S
 from hostlink.core.robot.odometry import OdometryEstimator, OdometrySnapshot
 from hostlink.core.robot.state import RobotState

@@ -9,7 +9,6 @@ from typing import Protocol
 import structlog
 
 from hostlink.core.config import RobotConfig
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.diagnoses import Diagnosis
 from hostlink.core.hub.gates import Drivable, Echo, LostEndpoint
 from hostlink.core.hub.message import Message
@@ -25,6 +24,7 @@ from hostlink.core.messages.fields import Field
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import MessageReceived, Parameter
 from hostlink.core.robot.admission import Admission
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.command_types import FixedZero, TopicType, zero_of
 from hostlink.core.robot.model import (
     NO_SETTINGS,

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from hostlink.core.diagnosis.finding import Finding
-from hostlink.core.hub.command_endpoint import command_endpoint_view
 from hostlink.core.hub.device import Device
 from hostlink.core.link.capture_buffer import CapturedPiece
+from hostlink.core.robot.command_endpoint import command_endpoint_view
 from hostlink.core.robot.device_views import (
     ArrivalView,
     DevicesView,

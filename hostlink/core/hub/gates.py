@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, Protocol
 
 import structlog
 
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.diagnoses import Diagnosis
 from hostlink.core.hub.isolation import Isolation
 from hostlink.core.hub.message import Message
@@ -26,6 +25,7 @@ from hostlink.core.link.link import Link
 from hostlink.core.link.serving import LinkEnd
 from hostlink.core.protocol.endpoint import DeviceEndpoint
 from hostlink.core.robot.admission import LEASE_S, Admission, Command, named
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.command_types import CommandType, Published, decode_twist
 from hostlink.core.robot.events import (
     HOST_AWAY,
@@ -337,7 +337,8 @@ class Gates:
         drivable.endpoints = self._endpoints_of(drivable, connection) if lost is None else (lost,)
         drivable.stop_call = _stop_call_of(connection)
         self.register(drivable.admission)
-        if drivable.gate.admission.connect(loop_time_s()):
+        now_s = loop_time_s()
+        if drivable.gate.admission.connect(now_s, came_s=self.came_s(now_s)):
             drivable.resumed_link = connection.link.number
         drivable.gate.restart()
         if not connection.drivables:
@@ -529,7 +530,7 @@ class Gates:
             for drivable in drivables:
                 self.note_end(drivable, missing)
         for admission in {drivable.admission for drivable in drivables}:
-            admission.note_missing(missing, now_s)
+            admission.note_missing(missing, now_s, came_s=self.came_s(now_s))
         for drivable in drivables:
             if missing and drivable.gate.may_move:
                 drivable.gate.stop(now_s=now_s)
@@ -576,8 +577,9 @@ class Gates:
 
     def unlock(self, drivables: Iterable[Drivable], *, by: str | None = None) -> None:
         """Admit commands again. Unlocking moves nothing."""
+        now_s = loop_time_s()
         for admission in {drivable.admission for drivable in drivables}:
-            admission.unlock(loop_time_s(), by=by)
+            admission.unlock(now_s, came_s=self.came_s(now_s), by=by)
 
     def pauses(self, now_s: float) -> HostPauses:
         """Return the pauses of this process. One that has just ended interrupts every robot first."""

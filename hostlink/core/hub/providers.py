@@ -5,7 +5,8 @@ import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Hashable, Iterator
 
-from hostlink.core.hub.command_endpoint import CommandEndpoint
+from hostlink.core.robot.admission import Command
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import DeviceGone, HostlinkError
 
@@ -36,15 +37,9 @@ class RobotProvider(ABC):
     def drive(
         self,
         robot: ProvidedRobot,
-        velocity: PlanarVelocity,
-        *,
-        owner: Hashable,
-        priority: int,
-        received_s: float,
-        epoch: int | None,
-        take_over: bool,
+        command: Command[PlanarVelocity],
     ) -> None:
-        """Send a command of a source, which lasts for a lease from `received_s` on.
+        """Send a command, which lasts for a lease from its `received_s` on. Its `epoch` is that of the robot's host.
 
         Raises:
             HostlinkError: the robot's host is not reached, or has refused the previous command of this source.
@@ -109,13 +104,7 @@ class Provision:
     def drive(
         self,
         robot: ProvidedRobot,
-        velocity: PlanarVelocity,
-        *,
-        owner: Hashable,
-        priority: int,
-        received_s: float,
-        epoch: int | None,
-        take_over: bool,
+        command: Command[PlanarVelocity],
     ) -> None:
         """Send a command; as `RobotProvider.drive`.
 
@@ -123,15 +112,7 @@ class Provision:
             DeviceGone: the provider has failed.
         """
         with self._guarded():
-            self._provider.drive(
-                robot,
-                velocity,
-                owner=owner,
-                priority=priority,
-                received_s=received_s,
-                epoch=epoch,
-                take_over=take_over,
-            )
+            self._provider.drive(robot, command)
 
     def answer(self, robot: ProvidedRobot, owner: Hashable) -> Awaitable[PlanarVelocity]:
         """Return the later answer; as `RobotProvider.answer`.

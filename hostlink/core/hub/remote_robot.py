@@ -92,15 +92,8 @@ class RemoteRobot(AnyRobot, ProvidedRobot):
         if decision.is_admitted or (is_zero and decision.kind is RefusalKind.HELD):  # it lets go there, too
             lease = None if command.velocity.is_zero else self.admission.driver("", now_s)
             began_s = command.received_s if lease is None else lease.deadline_s - self.admission.lease_s
-            self.provision.drive(
-                self,
-                command.velocity,
-                owner=command.source,
-                priority=command.priority,
-                received_s=began_s,
-                epoch=None if command.epoch is None else self._epoch,
-                take_over=command.take_over,
-            )
+            epoch = None if command.epoch is None else self._epoch
+            self.provision.drive(self, command._replace(received_s=began_s, epoch=epoch))
         if decision.kind is not None:
             raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder, by=decision.by)
         return command.velocity
@@ -187,7 +180,7 @@ class RemoteRobot(AnyRobot, ProvidedRobot):
         if lock_reason is not None and admission.lock_reason != lock_reason:
             admission.lock(lock_reason, now_s)
         elif lock_reason is None and admission.lock_reason is not None:
-            admission.unlock(now_s)
+            admission.unlock(now_s, came_s=self._gates.came_s(now_s))
         elif self._epoch is not None and epoch is not None and epoch > self._epoch:
             admission.interrupt(now_s)
         if epoch is not None:  # a state may be older than an answer
@@ -212,7 +205,8 @@ class RemoteRobot(AnyRobot, ProvidedRobot):
             self.link = RemoteLink(self._new_number(), own_number)
             is_resumed = epoch is not None and epoch == self._epoch
             self.admission.resume_after_reconnect_s = math.inf if is_resumed else 0.0
-            if self.admission.connect(loop_time_s()):
+            now_s = loop_time_s()
+            if self.admission.connect(now_s, came_s=self._gates.came_s(now_s)):
                 self.resumed_link = self.link.number
             self._epoch = epoch  # also if it is lower: the host may have restarted
 

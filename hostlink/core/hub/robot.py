@@ -8,12 +8,12 @@ import structlog
 from hostlink.core.config import RobotConfig
 from hostlink.core.diagnosis.motion_monitor import RECENT_S, Speed
 from hostlink.core.hub.any_robot import LOCK_REASON, AnyRobot, Follow, reason_for_motion, shown_reason
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.gates import Connection, Drivable
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.node import address_of
 from hostlink.core.hub.robot_settings import frames_of
 from hostlink.core.link.link import Link
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.feedback import Feedback
 from hostlink.core.robot.model import RobotTopicNames

@@ -1,20 +1,31 @@
 """RobotHandle: one robot for a component that drives, stops and follows it."""
 
 from collections.abc import Awaitable, Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict, Unpack
 
 from hostlink.core.hub.any_robot import LOCK_REASON, AnyRobot
-from hostlink.core.hub.command_endpoint import command_endpoint_view
 from hostlink.core.hub.participant import Participant
 from hostlink.core.hub.robot_topic_publisher import twist_topic
 from hostlink.core.hub.robots import Robots
 from hostlink.core.hub.standstills import WAIT_S, Standstills
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.odometry import OdometryEstimator, OdometrySnapshot
 from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.state import RobotState
 from hostlink.core.robot.velocity import PlanarVelocity
-from hostlink.core.robot.views import CommandEndpointView
 from hostlink.core.runtime.loop_time import loop_time_s
+
+
+class How(TypedDict, total=False):
+    """Keywords of `Participant.drive`: what is known of a command, and how it is meant."""
+
+    priority: int | None
+    received_s: float | None
+    sent_s: float | None
+    epoch: int | None
+    is_planar: bool
+    take_over: bool
+    reason: str
 
 
 class RecordedMotion(NamedTuple):
@@ -95,27 +106,10 @@ class RobotHandle:
         self,
         participant: Participant,
         velocity: PlanarVelocity,
-        *,
-        priority: int | None = None,
-        received_s: float | None = None,
-        sent_s: float | None = None,
-        epoch: int | None = None,
-        is_planar: bool = True,
-        take_over: bool = False,
-        reason: str = "",
+        **how: Unpack[How],
     ) -> PlanarVelocity:
         """Drive for the length of a lease; as `Participant.drive`. Return the velocity after the limits."""
-        return participant.drive(
-            self._robot,
-            velocity,
-            priority=priority,
-            received_s=received_s,
-            sent_s=sent_s,
-            epoch=epoch,
-            is_planar=is_planar,
-            take_over=take_over,
-            reason=reason,
-        )
+        return participant.drive(self._robot, velocity, **how)
 
     def answer(self, participant: Participant) -> Awaitable[PlanarVelocity] | None:
         """Return the later answer to the newest command of a source; None if `drive` has returned it.
@@ -168,11 +162,11 @@ class RobotHandle:
         """
         self._robot.unlock(by=by)
 
-    def endpoints(self) -> list[CommandEndpointView]:
+    def endpoints(self) -> list[CommandEndpoint]:
         """Return what else its devices take that looks like a command, after a stop or a lock."""
-        return [command_endpoint_view(each) for each in self._robot.unguarded_endpoints]
+        return self._robot.unguarded_endpoints
 
-    async def measure(self, since_s: float, *, wait_s: float = WAIT_S) -> Measured:
-        """Measure whether the robot is stopped since a time. It waits for `wait_s` at most."""
+    async def measure(self, since_s: float, *, wait_s: float = WAIT_S) -> list[Measured]:
+        """Measure whether the robot is stopped since a time. It waits for `wait_s` at most. The result is one."""
         (found,) = await self._standstills.measure([self._robot], since_s, wait_s=wait_s)
-        return Measured(self.state(), found)
+        return [Measured(self.state(), found)]

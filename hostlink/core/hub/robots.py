@@ -12,7 +12,6 @@ import structlog
 
 from hostlink.core.config import Config, RobotConfig
 from hostlink.core.hub.any_robot import AnyRobot, shown_reason
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.device import Device
 from hostlink.core.hub.gates import Drivable, Gates
 from hostlink.core.hub.remote_robot import RemoteRobot
@@ -29,6 +28,7 @@ from hostlink.core.hub.robot_settings import (
 )
 from hostlink.core.link.link import Link
 from hostlink.core.robot.admission import Admission, EarlierCommands
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.command_types import CommandType, TopicType, TwistCommand
 from hostlink.core.robot.events import OTHER_TOPICS, EventKind
 from hostlink.core.robot.feedback import Feedback, FeedbackSettings

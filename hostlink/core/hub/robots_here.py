@@ -1,11 +1,12 @@
 """RobotsHere: the robots and boards of this daemon alone, for a component through which other daemons use them."""
 
 from collections.abc import Callable, Hashable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Unpack
 
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.participant import Participant
 from hostlink.core.hub.robot import LocalRobot
+from hostlink.core.hub.robot_handle import How
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.state import RobotState
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.loop_time import loop_time_s
@@ -66,11 +67,7 @@ class RobotsHere:
         participant: Participant,
         name: str,
         velocity: PlanarVelocity,
-        *,
-        priority: int | None = None,
-        received_s: float | None = None,
-        epoch: int | None = None,
-        take_over: bool = False,
+        **how: Unpack[How],
     ) -> PlanarVelocity:
         """Drive a robot; as `Host.drive`.
 
@@ -81,9 +78,7 @@ class RobotsHere:
         robot = self._robots.find_here(name)
         if robot.also_at and not velocity.is_zero:
             raise DeviceGone(name, f"several robots have this name, also at {', '.join(robot.also_at)}")
-        return participant.drive(
-            robot, velocity, priority=priority, received_s=received_s, epoch=epoch, take_over=take_over
-        )
+        return participant.drive(robot, velocity, **how)
 
     def stop(self, name: str | None, *, by: str) -> None:
         """Stop a robot; None: every robot and board.

@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakValueDictionary
 
 from hostlink.core.config import Config
@@ -25,6 +25,7 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.robot.admission import EPOCH_BITS
 from hostlink.core.runtime.loop_time import loop_time_s
 
+Offered = TypeVar("Offered")
 DAEMON = "hostlink"  # name of the daemon's own participants in the graph
 
 
@@ -78,6 +79,7 @@ class Shared:
             self.isolation, self.events, self.gates.pauses, catalog.least_bytes, slept_s, self.wall_ns
         )
         self.tasks: asyncio.TaskGroup | None = None  # set while the hub runs
+        self.offers: dict[type, object] = {}  # what components offer to each other, by its type
         self._views: WeakValueDictionary[str, GraphView] = (
             WeakValueDictionary()
         )  # by group, while participants use them
@@ -86,7 +88,7 @@ class Shared:
         """Run work at most as long as the hub; not at all while the hub ends. A crash ends only this work."""
         if self.tasks is None:
             raise RuntimeError("the hub does not run yet")
-        isolated = self._isolated(work, name)
+        isolated = self.isolated(work, name)
         try:
             task = self.tasks.create_task(isolated, name=name)
         except RuntimeError:  # the hub is ending: the work would be cancelled before its first turn
@@ -95,9 +97,15 @@ class Shared:
             return
         task.add_done_callback(lambda _: work.close())  # a task that is cancelled before its first turn never awaits it
 
-    async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
+    async def isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
+        """Await work. A crash of it is logged, counted, and ends nothing else."""
         with self.isolation.around("task", task=name):
             await work
+
+    def offered(self, kind: type[Offered]) -> Offered | None:
+        """Return what a component offers of this type; None: no component that runs does."""
+        found = self.offers.get(kind)
+        return found if isinstance(found, kind) else None
 
     def view(self, group: str) -> GraphView:
         """Return the view of the graph for all participants of one group."""

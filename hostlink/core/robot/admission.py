@@ -598,8 +598,8 @@ class Admission:
     ) -> None:
         """Stop the robot: disarm every source that was commanding within a lease before `since_s`, `came_s`, or now.
 
-        `came_s` is the earliest time at which a stop arrived, by the clock of commands: what came before it is from
-        before the stop. A lock, an unlock and a connection have none: commands are refused until then anyway.
+        `came_s` is the earliest time at which the interruption arrived, by the clock of commands: what came before it
+        is from before the interruption. A lock has none: commands are refused from then on.
         `by` names the interruption for refusals; None: it is unknown.
         """
         if since_s is None:
@@ -629,11 +629,15 @@ class Admission:
         self.lock_reason, self.locked_by = reason, by
         self.interrupt(now_s, by=named("a lock", by))
 
-    def unlock(self, now_s: float, *, by: str | None = None) -> None:
-        """Admit commands again. A source that went on through the lock stays disarmed: unlocking moves nothing."""
+    def unlock(self, now_s: float, *, came_s: float | None = None, by: str | None = None) -> None:
+        """Admit commands again. Unlocking moves nothing.
+
+        A source that went on through the lock stays disarmed, and so does one whose command arrived before the unlock
+        and is read after it. `came_s` is as for `interrupt`.
+        """
         if self.lock_reason is not None:
             self.lock_reason = self.locked_by = None
-            self.interrupt(now_s, by=named("an unlock", by))
+            self.interrupt(now_s, came_s=came_s, by=named("an unlock", by))
 
     def join(self, sources: Iterable[Hashable], now_s: float) -> None:
         """Note sources that have published to the robot since before it was subscribed. ANY_SOURCE: so may each."""
@@ -644,11 +648,14 @@ class Admission:
             self.distrust(now_s)
         self._joined |= {owner: EarlierMotion.within_a_lease(now_s) for owner in joining}
 
-    def connect(self, now_s: float) -> bool:
-        """The device is connected, or has other topics; returns whether that is an interruption."""
+    def connect(self, now_s: float, *, came_s: float | None = None) -> bool:
+        """Note that the device is connected, or has other topics. Return whether that is an interruption.
+
+        `came_s` is as for `interrupt`.
+        """
         is_interruption = now_s >= self._disconnected_s + self.resume_after_reconnect_s
         if is_interruption:
-            self.interrupt(now_s, by="a reconnection of its device")
+            self.interrupt(now_s, came_s=came_s, by="a reconnection of its device")
         self.is_connected = True
         self._drop_holds()
         for source in self._sources.values():
@@ -660,15 +667,18 @@ class Admission:
         self.is_connected, self._disconnected_s = False, now_s
         self._end_all_drives(now_s)
 
-    def note_missing(self, missing: str, now_s: float) -> None:
-        """Note why a robot of several devices cannot be driven; empty: all are connected, which is an interruption."""
+    def note_missing(self, missing: str, now_s: float, *, came_s: float | None = None) -> None:
+        """Note why a robot of several devices cannot be driven; empty: all are connected, which is an interruption.
+
+        `came_s` is as for `interrupt`.
+        """
         if missing == self.missing:
             return
         self.missing = missing
         if missing:
             self._end_all_drives(now_s)
         else:
-            self.interrupt(now_s, by="a reconnection of one of its devices")
+            self.interrupt(now_s, came_s=came_s, by="a reconnection of one of its devices")
             for source in self._sources.values():
                 source.has_lost_device = False
 

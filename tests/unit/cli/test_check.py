@@ -21,7 +21,7 @@ from hostlink.core.config import (
     TokenConfig,
     WheelsConfig,
 )
-from hostlink.core.runtime.folders import FolderOwner
+from hostlink.core.runtime.folders import FolderOwner, state_folder
 from hostlink.errors import ConfigError
 
 TOKEN = TokenConfig(name="phone", role="drive", token="a-token-of-a-driver")
@@ -56,6 +56,7 @@ def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
         "a device on /dev/ttyACM0 at 57600 baud",
         "a device on 7543 at 57600 or 115200 baud",
         "programs on http://127.0.0.1:9090",
+        f"recordings in {state_folder() / 'recordings'}, at most 4096 MB; black box of 120 s before an incident",
         "robot robot_0, 7543",
         "robot robot_1, known by its topics",
         "robot robot_2, 10.0.0.8 and 10.0.0.9",

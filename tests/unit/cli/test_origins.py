@@ -2,8 +2,8 @@
 
 import pytest
 
-from hostlink.cli.addresses import is_origin
 from hostlink.cli.serve_command import allow_origins
+from hostlink.components.gateway.settings import is_origin
 from hostlink.core.config import ApiConfig, Config
 from hostlink.errors import ConfigError
 

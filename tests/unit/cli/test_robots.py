@@ -11,8 +11,8 @@ import typer
 from hostlink.cli.robots import _halt, _lock, _stop, _unlock
 from hostlink.client import Host, Robot, Standstill, StandstillState, Stopped, StoppedRobot
 from hostlink.core.config import Config, RobotConfig
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.errors import CommandRefused, HostlinkError, Refused, StopFailed
 from tests.support.background import cancelling
 from tests.support.fake_device import topic

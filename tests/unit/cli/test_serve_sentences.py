@@ -12,6 +12,7 @@ import structlog
 from hostlink.cli.serve_command import Sentences
 from hostlink.core.runtime import logs
 
+WITHOUT_GATEWAY = {"event": "daemon.started", "tcp": "0.0.0.0:11411"}
 STARTED = {"event": "daemon.started", "api": "http://127.0.0.1:9090", "tcp": "0.0.0.0:11411"}
 APPEARED = {"event": "robot.appeared", "robot": "mule", "velocity": "/mule/cmd_vel"}
 
@@ -72,6 +73,7 @@ def test_a_file_and_a_level_that_is_asked_for_have_the_log_itself() -> None:
     [
         ([{**STARTED, "udp": "0.0.0.0:11413"}], "boards connect to 0.0.0.0:11411, over UDP to 0.0.0.0:11413;"),
         ([{**STARTED, "api": "https://10.0.0.5:9443"}, APPEARED], "hostlink teleop mule --url https://10.0.0.5:9443"),
+        ([WITHOUT_GATEWAY], "hostlink runs, without an address for programs\nboards connect to 0.0.0.0:11411; Ctrl-C"),
         ([STARTED, {**APPEARED, "robot": "a;reboot"}], "to drive it: hostlink teleop 'a;reboot'"),
         ([{**APPEARED, "velocity": None}], "mule is connected; it takes no velocity"),
     ],

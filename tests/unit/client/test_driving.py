@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import pytest
 
 from hostlink.client import Driven, Refusal, Robot, driver
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.robot.admission import EARLIER_EPOCH, LEASE_S
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.events import LET_GO, WAS_STOPPED, EventKind, RobotEvent
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.robot.velocity_gate import VelocityGate

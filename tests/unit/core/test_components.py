@@ -4,20 +4,33 @@ import asyncio
 import contextlib
 import importlib.metadata
 import struct
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
 from hostlink.cli.settings import load
 from hostlink.core import components
-from hostlink.core.components import LONGEST_PAUSE_S, STEADY_S, chosen_components, find_component, supervise
+from hostlink.core.components import (
+    LONGEST_PAUSE_S,
+    READY_S,
+    STEADY_S,
+    Chosen,
+    begun,
+    begun_first,
+    chosen_components,
+    find_component,
+    hosted,
+    supervise,
+)
 from hostlink.core.config import Config
 from hostlink.core.host import Component, Host, PlanarVelocity, RobotEvent, Role
 from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.runtime.cancellation import first_error
 from hostlink.errors import (
     BadRequest,
     CommandRefused,
@@ -282,6 +295,132 @@ async def test_component_that_swallows_its_cancellation_is_not_started_again(mad
     assert len(kind.hosts) == 1
 
 
+# -- those that begin first ------------------------------------------------------------------------------------------
+
+
+class First(Component[Settings]):
+    """Component that begins first, and writes down what happens."""
+
+    settings_type = Settings
+    begins_first = True
+    events: list[str]
+    steps: dict[str, list[Exception | None]]  # of each by its name: what ends its runs before they are ready
+
+    async def run(self, host: Host) -> None:
+        steps = self.steps.get(self.name, [])
+        await asyncio.sleep(0.1)
+        if steps and (error := steps.pop(0)) is not None:
+            raise error
+        self.events.append(f"+{self.name}")
+        host.ready()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await asyncio.sleep(0.1)
+            self.events.append(f"-{self.name}")
+
+
+def firsts(events: list[str], **steps: list[Exception | None]) -> list[Chosen]:
+    facts: dict[str, Any] = {"events": events, "steps": steps}
+    kinds = (
+        type("A", (First,), {"name": "a", "uses": ("b", "none"), **facts}),
+        type("B", (First,), {"name": "b", **facts}),
+        type("Other", (First,), {"name": "other", "begins_first": False, **facts}),
+    )
+    return [Chosen(kind.name, kind, Settings()) for kind in kinds]
+
+
+@inside(in_hub)
+async def test_those_that_begin_first_begin_after_what_they_use_and_end_before_it(made: MemoryHub) -> None:
+    events: list[str] = []
+    chosen = firsts(events)
+    async with begun_first(made.hub, chosen):
+        assert events == ["+b", "+a"]
+        async with begun(made.hub, chosen, {}):
+            await asyncio.sleep(0.2)
+        events.append("the rest has ended")
+    assert events == ["+b", "+a", "+other", "-other", "the rest has ended", "-a", "-b"]
+
+
+@inside(in_hub, reraises=False)
+async def test_one_that_fails_before_it_is_ready_holds_up_nothing_and_is_tried_again(made: MemoryHub) -> None:
+    events: list[str] = []
+    async with begun_first(made.hub, firsts(events, b=[ValueError("a bug"), ConfigError("b", "later")])):
+        assert events == ["+a"]
+        assert codes(made) == ["component_failed"]
+        await asyncio.sleep(4.0)
+        assert events == ["+a", "+b"]
+        assert codes(made) == []
+    assert [each["again_in_s"] for each in made.logged("component.ended")] == [1.0, 2.0]
+
+
+@inside(in_hub)
+async def test_daemon_begins_without_one_that_hangs_and_holds_robots_when_that_fails(made: MemoryHub) -> None:
+    hangs = asyncio.Event()
+
+    async def hang(_: Host) -> None:
+        await hangs.wait()
+        raise ConfigError("driver.port", "is in use")
+
+    began_s = made.now_s
+    kind = type("Hangs", (driver_of(hang),), {"begins_first": True})
+    async with begun_first(made.hub, [Chosen("driver", kind, Settings())]):
+        assert made.now_s - began_s == pytest.approx(READY_S, abs=0.1)
+        assert len(made.logged("component.late")) == 1
+        hangs.set()
+        await asyncio.sleep(0.1)
+        assert codes(made) == ["component_failed"]
+
+
+@inside(in_hub)
+async def test_setting_that_cannot_be_served_ends_the_start_of_one_that_begins_first(made: MemoryHub) -> None:
+    events: list[str] = []
+    with pytest.raises(BaseExceptionGroup) as caught:
+        async with begun_first(made.hub, firsts(events, a=[ConfigError("a.port", "is in use")])):
+            raise AssertionError("it has begun")
+    assert str(first_error(caught.value)) == "a.port: is in use"
+    assert events == ["+b", "-b"]
+
+
+@inside(in_hub)
+async def test_offer_is_found_by_its_type_until_its_run_ends(made: MemoryHub) -> None:
+    async with hosted(made.hub, "asks", Counter()) as asks:
+        assert asks.offered(Needy) is None
+        async with hosted(made.hub, "offers", Counter()) as old:
+            old.offer(Needy(port=1))
+            old.offer(Needy(port=2))
+            assert asks.offered(Needy) == Needy(port=2)
+            assert asks.offered(Settings) is None
+            async with hosted(made.hub, "offers too", Counter()) as new:
+                new.offer(Needy(port=3))
+                old.close()
+                assert asks.offered(Needy) == Needy(port=3)
+        assert asks.offered(Needy) is None
+
+
+@inside(in_hub)
+async def test_each_run_has_the_settings_of_the_last_reload(made: MemoryHub) -> None:
+    seen: list[float] = []
+
+    async def note(host: Host) -> None:
+        await asyncio.sleep(0.1)
+        raise OSError("lost")
+
+    class Noting(Driver):
+        hosts: ClassVar = []
+        steps: ClassVar = [note]
+
+        def __init__(self, settings: Settings) -> None:
+            super().__init__(settings)
+            seen.append(settings.speed_m_s)
+
+    async with begun(made.hub, [Chosen("driver", Noting, Settings())], {}):
+        await asyncio.sleep(0.5)
+        made.hub.config = replace(made.hub.config, component_settings={"driver": Settings(speed_m_s=0.3)})
+        await asyncio.sleep(1.0)
+    assert seen == [0.1, 0.3]
+
+
 # -- what it gets -----------------------------------------------------------------------------------------------------
 
 
@@ -478,7 +617,20 @@ def test_component_that_cannot_run_is_named_with_its_reason(tmp_path: Path, text
     assert problem in str(caught.value)
 
 
+def test_usual_component_runs_unless_it_is_off_and_has_the_tables_that_are_its_own(tmp_path: Path) -> None:
+    config = config_of(tmp_path, "[api]\nport = 1234\n[black_box]\nbefore_s = 7.0\n[components]\nmqtt = false")
+    gateway, recorder = chosen_components(config, ["recorder", "gateway"])
+    assert (gateway.settings.api.port, recorder.settings.black_box.before_s) == (1234, 7.0)  # type: ignore[attr-defined]
+    assert chosen_components(config) == []
+    off = config_of(tmp_path, "[components]\ngateway = false\nrecorder = true")
+    assert [each.name for each in chosen_components(off, ["recorder", "gateway"])] == ["recorder"]
+    with pytest.raises(
+        ConfigError, match=r"recorder: the settings of this component are in \[recording\] and \[black_b"
+    ):
+        config_of(tmp_path, "[recorder]")
+
+
 def test_installed_components_are_known_by_name() -> None:
     names = [each.name for each in importlib.metadata.entry_points(group=components.GROUP)]
-    assert {"mdns", "mqtt"} <= set(names)
+    assert {"gateway", "mdns", "mqtt", "recorder"} <= set(names)
     assert all(find_component(name).name == name for name in names)

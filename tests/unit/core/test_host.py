@@ -2,11 +2,12 @@
 
 import asyncio
 import struct
+from collections import Counter
 from collections.abc import Mapping
 
 import pytest
 
-from hostlink.core.components import hosted_part
+from hostlink.core.components import hosted
 from hostlink.core.config import Config
 from hostlink.core.host import LOCK_REASON, PROGRAM_PRIORITY, Host, PlanarVelocity, Role
 from hostlink.core.robot.standstill import StandstillState
@@ -46,7 +47,7 @@ async def test_handle_drives_follows_and_measures_its_robot(made: MemoryHub) -> 
     epoch, since_s = robot.epoch, host.now_s
     robot.stop(by="a button")
     assert robot.epoch != epoch
-    state, standstill = await robot.measure(since_s, wait_s=0.5)
+    ((state, standstill),) = await robot.measure(since_s, wait_s=0.5)
     assert (state.name, standstill.state) == ("robot_0", StandstillState.UNKNOWN)
     assert standstill.reason == robot.why_unknown()
     assert velocities(device)[-1] == (0.0, 0.0)
@@ -88,7 +89,7 @@ async def test_states_are_made_one_by_one(made: MemoryHub) -> None:
     await made.connect()
     host = host_of(made.hub)
     states = host.states()
-    host.stops.lock_all("later", by="a button")
+    host.stops.lock("later", by="a button")
     assert [state.lock_reason for state in states] == ["later"]
 
 
@@ -99,14 +100,14 @@ async def test_stops_of_all_are_sent_at_once_and_measured(made: MemoryHub) -> No
     me = host.join("arm")
     host.find("robot_0").drive(me, FORWARD)
     since_s = host.now_s
-    host.stops.stop_all(by="a button")
+    host.stops.stop(by="a button")
     assert (host.stops.endpoints(), await host.stops.settled()) == ([], [])
-    ((state, standstill),) = await host.stops.measure_all(since_s, wait_s=0.1)
+    ((state, standstill),) = await host.stops.measure(since_s, wait_s=0.1)
     assert (state.name, standstill.state) == ("robot_0", StandstillState.UNKNOWN)
     assert velocities(device)[-1] == (0.0, 0.0)
-    host.stops.lock_all(by="a button")
+    host.stops.lock(by="a button")
     assert host.devices.all()["lock_reason"] == LOCK_REASON
-    host.stops.unlock_all(by="a button")
+    host.stops.unlock(by="a button")
     assert host.devices.all()["lock_reason"] is None
 
 
@@ -173,12 +174,12 @@ async def test_capture_of_an_unknown_link_names_the_known_ones(made: MemoryHub) 
 
 
 @inside(in_hub, reraises=False)
-async def test_crash_of_spawned_work_ends_nothing_else_of_a_part_of_the_daemon(made: MemoryHub) -> None:
+async def test_crash_of_work_that_is_not_vital_ends_nothing_else(made: MemoryHub) -> None:
     async def crash() -> None:
         raise ValueError
 
-    with hosted_part(made.hub, "gateway") as host:
-        host.spawn(crash(), name="a connection")
+    async with hosted(made.hub, "gateway", Counter()) as host:
+        host.spawn(crash(), name="a connection", is_vital=False)
         await asyncio.sleep(0.1)
         me = host.join("client 1")
         assert not me.has_left
@@ -188,7 +189,7 @@ async def test_crash_of_spawned_work_ends_nothing_else_of_a_part_of_the_daemon(m
 
 @inside(in_hub, reraises=False)
 async def test_service_of_the_daemon_precedes_and_outlives_a_failure(made: MemoryHub) -> None:
-    with hosted_part(made.hub, "gateway") as host:
+    async with hosted(made.hub, "gateway", Counter()) as host:
         daemon = host.join_as_daemon()
 
         async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
@@ -206,7 +207,7 @@ async def test_service_of_the_daemon_precedes_and_outlives_a_failure(made: Memor
 
 @inside(in_hub)
 async def test_check_of_a_reload_ends_with_the_run(made: MemoryHub) -> None:
-    with hosted_part(made.hub, "gateway") as host:
+    async with hosted(made.hub, "gateway", Counter()) as host:
         host.on_reload(lambda _: lambda: None)
         assert len(made.hub.reloader.prepares) == 1
         with pytest.raises(ReloadRefused):

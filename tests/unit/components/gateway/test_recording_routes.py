@@ -17,8 +17,9 @@ PATH = "/api/recordings"
 async def recorded(folder: Path) -> AsyncIterator[tuple[RestMemory, Recordings]]:
     async with rest_memory(settle_s=0.05) as api:
         made = recordings_of(api.hub)
-        made.folder.path, made.folder.min_free_disk_mb = folder, 0.0
-        api.add(RecordingRoutes(made, 1).routes())
+        made.folder.path, made.folder.min_free_disk_mb, made.max_file_bytes = folder, 0.0, 1_000_000
+        api.host.offer(made)
+        api.add(RecordingRoutes(api.host).routes())
         try:
             yield api, made
         finally:

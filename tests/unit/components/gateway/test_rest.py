@@ -11,10 +11,10 @@ from hostlink.components.gateway.bodies import convert_velocity
 from hostlink.components.gateway.rest import MAX_OWNERS, Owners, VelocityRequest
 from hostlink.components.gateway.rosbridge import DriveOperation
 from hostlink.core.config import Config
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
 from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.views import RobotView
 from hostlink.errors import BadRequest, DeviceGone
 from tests.support.fake_device import CATALOG, topic

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.components.recorder.drives import Drive
+from hostlink.components.recorder.drives import Drive, DriveLog
 from hostlink.core.config import Config, RobotConfig
 from tests.support.api_memory import Answer, ApiMemory, api_memory
 from tests.support.participants import ROBOT
@@ -24,7 +24,7 @@ def drive(robot: str, *, ended_s: float = 12.5, seconds: float | None = 2.0) -> 
     )  # fmt: skip
 
 
-class FakeDrives:
+class FakeDrives(DriveLog):
     """Log of drives, which keeps what it was asked for."""
 
     lost = 3

@@ -32,9 +32,7 @@ def with_feed(test: Callable[[Hub, StateFeed], Awaitable[None]]) -> None:
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())
             await hub.is_running.wait()
-            recordings = recordings_of(hub)
-            await test(hub, StateFeed(host_of(hub), Clients(8, max_per_address=8), recordings))
-            await recordings.aclose()
+            await test(hub, StateFeed(host_of(hub), Clients(8, max_per_address=8)))
             running.cancel()
 
     with capture_logs():
@@ -281,8 +279,9 @@ def test_many_readers_are_sent_less_often_within_the_cpu_share() -> None:
 def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True)
-        recordings = recordings_of(hub)
-        feed = StateFeed(host_of(hub), Clients(8, max_per_address=8), recordings)
+        recordings, host = recordings_of(hub), host_of(hub)
+        host.offer(recordings)
+        feed = StateFeed(host, Clients(8, max_per_address=8))
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())
             await hub.is_running.wait()
@@ -304,8 +303,7 @@ def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
 @virtual
 async def test_streams_end_with_the_hub() -> None:
     hub = Hub(Config(), CATALOG, reraises=True)
-    recordings = recordings_of(hub)
-    feed = StateFeed(host_of(hub), Clients(8, max_per_address=8), recordings)
+    feed = StateFeed(host_of(hub), Clients(8, max_per_address=8))
     reader = Reader(feed)
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(hub.run())
@@ -316,4 +314,3 @@ async def test_streams_end_with_the_hub() -> None:
             running.cancel()
             await reader.news.wait()
             assert not feed.is_running
-    await recordings.aclose()

@@ -40,3 +40,27 @@ def test_clock_of_another_program_says_nothing() -> None:
         assert two.drive(made.robot("second"), AHEAD, sent_s=made.now_s - 1000.0) == AHEAD
 
     in_hub(test)
+
+
+@pytest.mark.parametrize("is_locked", [True, False])
+def test_command_that_waited_while_the_robot_was_locked_or_away_moves_nothing(*, is_locked: bool) -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect(robot_topics("robot_0"), address="10.0.0.1")
+        if is_locked:
+            made.robot("robot_0").lock()
+        else:
+            await device.aclose()
+        came_s = made.now_s
+        await asyncio.sleep(0.2)
+        if is_locked:
+            made.robot("robot_0").unlock()
+        else:
+            await made.connect(robot_topics("robot_0"), address="10.0.0.1")
+        program = made.hub.join("program")
+        with pytest.raises(CommandRefused) as refused:
+            program.drive(made.robot("robot_0"), AHEAD, received_s=came_s)
+        assert refused.value.kind is RefusalKind.DISARMED
+        assert program.drive(made.robot("robot_0"), PlanarVelocity()) == PlanarVelocity()
+        assert program.drive(made.robot("robot_0"), AHEAD) == AHEAD
+
+    in_hub(test)

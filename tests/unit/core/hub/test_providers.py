@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 
-from hostlink.core.hub.command_endpoint import CommandEndpoint
 from hostlink.core.hub.providers import SETTLE_TIMEOUT_S, Provision
 from hostlink.core.hub.remote_robot import RemoteRobot
+from hostlink.core.robot.admission import Command
+from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import DeviceGone
 from tests.support.gates import drive_gate
@@ -32,8 +33,8 @@ class Broken(RecordingHosts):
         if name in self.broken:
             raise ZeroDivisionError(f"a bug in {name}")
 
-    def drive(self, robot: RemoteRobot, velocity: PlanarVelocity, **facts: Any) -> None:
-        super().drive(robot, velocity, **facts)
+    def drive(self, robot: RemoteRobot, command: Command[PlanarVelocity]) -> None:
+        super().drive(robot, command)
         self._call("drive")
 
     def stop(self, name: str | None) -> None:

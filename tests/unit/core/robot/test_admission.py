@@ -1,6 +1,7 @@
 """Admission: one test for each row of its tables."""
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -342,6 +343,32 @@ def test_command_that_a_late_loop_reads_after_a_stop_or_beside_other_interruptio
     robot.admission.unlock(robot.now_s)
     robot.admission.connect(robot.now_s)
     assert robot.command(source="bob", waited_s=0.3).is_admitted
+
+
+@pytest.mark.parametrize(
+    "admit_again",
+    [
+        lambda admission, now_s: admission.unlock(now_s, came_s=now_s),
+        lambda admission, now_s: admission.connect(now_s, came_s=now_s),
+        lambda admission, now_s: admission.note_missing("", now_s, came_s=now_s),
+    ],
+    ids=["unlock", "connection", "last device"],
+)
+def test_command_from_before_commands_were_admitted_again_moves_nothing(
+    robot: Timeline, admit_again: Callable[[Admission, float], object]
+) -> None:
+    """The command of another source waited in its socket, while a request of a third one was read."""
+    robot.admission.lock("smoke", robot.now_s)
+    robot.admission.note_missing("its wheels are away", robot.now_s)
+    robot.wait(1.0)
+    admit_again(robot.admission, robot.now_s)
+    robot.admission.lock_reason = None
+    robot.admission.missing = ""
+    assert robot.command(waited_s=0.2).kind is RefusalKind.DISARMED
+    robot.wait(0.05)
+    assert robot.command().kind is RefusalKind.DISARMED
+    robot.wait(LEASE_S)
+    assert robot.command().is_admitted
 
 
 def test_velocity_behind_a_zero_that_waited_through_a_stop_is_refused(driven: Timeline) -> None:
