@@ -64,8 +64,8 @@ class Outbox:
 
     __slots__ = (
         "_busy_until_s", "_commands", "_control_bytes", "_encode", "_is_request_due", "_is_stop_due",
-        "_loop_bytes", "_new", "_replies", "_time_bytes", "_uart_bytes_s", "_urgent", "answers", "control", "is_stopped",
-        "is_time_due", "prompt_bytes", "replaced", "robot_moves", "slowest_wait_s",
+        "_loop_bytes", "_new", "_replies", "_time_bytes", "_uart_bytes_s", "_urgent", "answers", "control",
+        "is_stopped", "is_time_due", "prompt_bytes", "replaced", "robot_moves", "slowest_wait_s",
     )  # fmt: skip
 
     def __init__(
