@@ -57,6 +57,20 @@ async def test_board_over_tcp_is_a_robot_that_drives() -> None:
         await check_drives(host, device)
 
 
+async def test_two_equal_boards_with_equal_keys_are_two_robots_named_by_their_node() -> None:
+    async with daemon(CONFIG) as host:
+        address = address_of(host, "udp")
+        async with udp_board(address) as first, udp_board(address) as second:
+            await first.is_at_work()
+            await second.is_at_work()
+            names = ["linorobot_base_node", "linorobot_base_node_2"]
+            await expect(lambda: sorted(each.name for each in host.hub.robots.here()) == names)
+            await host.drive(host.hub.robots.here()[1].name, b'{"linear": 0.2, "angular": 0}')
+            await expect(lambda: any(speed > 0.1 for each in (first, second) for _, speed in each.stock.taken))
+            driven = [any(speed > 0.1 for _, speed in each.stock.taken) for each in (first, second)]
+            assert sorted(driven) == [False, True]
+
+
 async def test_board_at_an_unverified_address_gets_no_more_bytes_than_it_sends_and_drives() -> None:
     config = Config(micro_ros=MicroRosConfig(udp=MicroRosUdpConfig(port=0, trusted=())))
     async with daemon(config) as host, udp_board(address_of(host, "udp")) as device:

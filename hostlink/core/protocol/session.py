@@ -136,6 +136,11 @@ class DeviceSession(ABC):
         """The usable endpoints of the last announcement."""
 
     @property
+    def node(self) -> str:
+        """Name of the device's node in ROS, with its namespace; empty where a protocol has none."""
+        return ""
+
+    @property
     def refusals(self) -> tuple[tuple[DeviceEndpoint, HostlinkError], ...]:
         """Endpoints that cannot be used, with the reason."""
         return ()
