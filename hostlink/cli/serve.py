@@ -26,6 +26,7 @@ from hostlink.core.config import Config
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.hub.gates import Guard
 from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.kept_memories import kept_memories, memories_file
 from hostlink.core.hub.kept_names import kept_names, names_file
 from hostlink.core.hub.reloader import Read, Reloader
 from hostlink.core.runtime import logs
@@ -43,6 +44,7 @@ class Addresses:
     tcp: tuple[str, int]
     api: str  # empty: no gateway runs
     udp: tuple[str, int] | None = None
+    micro_ros: tuple[str, ...] = ()
 
 
 @contextlib.asynccontextmanager
@@ -64,7 +66,11 @@ async def running(
 
     @contextlib.asynccontextmanager
     async def parts(hub: Hub) -> AsyncIterator[None]:
-        async with complaints_logged(), kept_names(hub.links, names_file(config)):
+        async with (
+            complaints_logged(),
+            kept_names(hub.links, names_file(config)),
+            kept_memories(hub.links, memories_file(config)),
+        ):
             with reload_signal(hub.reloader):
                 yield
 
@@ -87,9 +93,10 @@ async def running(
         udp = {} if devices.udp is None else {"udp": spelled(*devices.udp)}
         loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
         ports = {"serial": list(devices.serial), "missing": list(devices.missing)} if config.serial else {}
-        log.info("daemon.started", tcp=spelled(*devices.tcp), **api, loop=loop, **udp, **ports)
+        boards = {"micro_ros": list(devices.micro_ros)} if devices.micro_ros else {}
+        log.info("daemon.started", tcp=spelled(*devices.tcp), **api, loop=loop, **udp, **boards, **ports)
         try:
-            yield hub, Addresses(devices.tcp, api.get("api", ""), devices.udp)
+            yield hub, Addresses(devices.tcp, api.get("api", ""), devices.udp, devices.micro_ros)
         except Exception as error:
             log.exception("daemon.failed", cause=repr(error))
             raise

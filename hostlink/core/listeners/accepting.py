@@ -11,11 +11,13 @@ from functools import partial
 
 import structlog
 
-from hostlink.core.config import LinkConfig, SerialConfig, TcpConfig, UdpConfig
+from hostlink.core.config import AUTO, MICRO_ROS, ROSSERIAL, LinkConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import Authenticate, LinkEnd, trust
+from hostlink.core.listeners.turns import Turn
 from hostlink.core.protocol.registry import find_protocol
+from hostlink.core.protocol.session import DeviceProtocol
 from hostlink.core.runtime.acceptor import EXHAUSTED
 from hostlink.core.runtime.listening import spelled
 from hostlink.core.runtime.log_budget import Budget
@@ -76,7 +78,7 @@ class ConnectionAdmission:
         `connections` are the accepted ones, oldest first. `room` replaces the bound of all connections.
         """
         most = self._config.max_connections if room is None else room
-        if self._allowed and not is_within(address, self._allowed):
+        if not self.allows(address):
             return Verdict(refusal="not_allowed")
         if sum(connection.address == address for connection in connections) >= self._config.max_connections_per_address:
             return Verdict(refusal="too_many_of_address")
@@ -91,6 +93,10 @@ class ConnectionAdmission:
         if oldest is None or 0 < counts[address] >= counts[oldest.address] - 1:
             return Verdict(refusal="too_many")
         return Verdict(evicts=oldest.number)
+
+    def allows(self, address: str) -> bool:
+        """Whether an address is in the allowed networks."""
+        return not self._allowed or is_within(address, self._allowed)
 
     def needs_key(self, address: str) -> bool:
         """Whether a device at this address must prove the key, if there is one."""
@@ -118,7 +124,7 @@ class _Acceptor:
             ConfigError: the key file cannot be used, or the protocol is unknown.
         """
         self._hub, self._way = hub, way
-        self._protocol = find_protocol(config.protocol)
+        self._protocol = find_protocol(config.protocol, way, velocity_stream=hub.config.micro_ros.velocity_stream)
         self._admission = ConnectionAdmission(config)
         self._key = None if config.key_file is None else read_key(config.key_file, f"{way}.key_file")
         self._paused_until_s: dict[str, float] = {}
@@ -201,6 +207,10 @@ class TcpAcceptor(_Acceptor):
 # -- udp acceptor -----------------------------------------------------------------------------------------------------
 
 OPENED_A_SECOND = 20.0  # new sessions of each kind, and burst size: each costs about a millisecond
+# Answers without a session, of each kind. They are a fifth longer than what asks for them, with the headers of both: to
+# forged addresses no more than 11 kB/s.
+PINGS_A_SECOND = 200.0
+RESUME_S = 0.1  # between two remembered devices: half of the openings are left to others
 INVITE_S = 2.0  # the interval at which a link repeats an unanswered topic request
 
 
@@ -225,6 +235,8 @@ class UdpAcceptor(_Acceptor):
         self._devices = config.device_addresses()
         self._sessions: dict[tuple[str, int], _Session] = {}  # by source address, oldest first
         self._openings = RateLimit(OPENED_A_SECOND)  # of verified and of other addresses
+        self._pings = RateLimit(PINGS_A_SECOND)
+        self._foreign = "not_" + "".join(each if each.isalnum() else "_" for each in self._protocol.name.lower())
 
     def receive(self, port: UdpPort, datagram: Datagram) -> bool:
         """Handle a datagram from the shared port. Return whether it opened a session."""
@@ -232,10 +244,16 @@ class UdpAcceptor(_Acceptor):
         if session is not None:
             session.transport.feed(datagram.data)
             return False
+        peer, memories = spelled(*datagram.source[:2]), self._hub.links.memories
         if self._is_greeting(datagram):
+            memories.forget(self._protocol, "udp", peer)
             return self._open(port, datagram)
-        self._hub.counts.datagrams_dropped["not_rosserial"] += 1
-        self._hub.diagnoses.refused.note("udp", datagram.source[0], "not_rosserial", loop_time_s())
+        if memories.has(self._protocol, "udp", peer):
+            return self._open(port, datagram)
+        if self._is_answered(port, datagram):
+            return False
+        self._hub.counts.datagrams_dropped[self._foreign] += 1
+        self._hub.diagnoses.refused.note("udp", datagram.source[0], self._foreign, loop_time_s())
         return False
 
     async def invite(self, ports: Sequence[UdpPort]) -> None:
@@ -248,10 +266,34 @@ class UdpAcceptor(_Acceptor):
                     port.send(self._protocol.invitation, address)
             await asyncio.sleep(INVITE_S)
 
+    async def resume(self, ports: Sequence[UdpPort]) -> None:
+        """Open a session with each device that is remembered: some of them only listen."""
+        for peer in self._hub.links.memories.peers(self._protocol, "udp"):
+            host, _, number = peer.rpartition(":")
+            address = host.strip("[]"), int(number)
+            port = next((each for each in ports if (":" in each.address[0]) == (":" in address[0])), None)
+            if port is not None and address not in self._sessions and self._admission.allows(address[0]):
+                self._open(port, Datagram(b"", address, port.address))
+                await asyncio.sleep(RESUME_S)
+
     def _is_greeting(self, datagram: Datagram) -> bool:
         return (
             datagram.data == HELLO if self._needs_key(datagram.source[0]) else self._protocol.is_greeting(datagram.data)
         )
+
+    def _is_answered(self, port: UdpPort, datagram: Datagram) -> bool:
+        """Answer a datagram that only asks whether a host is there, or refuse to. Return whether it is one."""
+        address = datagram.source[0]
+        answer = b"" if self._needs_key(address) else self._protocol.answer_ping(datagram.data)
+        if not answer:
+            return False
+        if not self._admission.allows(address):
+            self._count("not_allowed", spelled(*datagram.source[:2]), address)
+        elif not self._pings.allows(self._is_trusted(datagram.source[:2]), loop_time_s()):
+            self._count("too_fast", spelled(*datagram.source[:2]), address)
+        else:
+            port.send(answer, datagram.source)
+        return True
 
     def _open(self, port: UdpPort, datagram: Datagram) -> bool:
         address, peer = datagram.source[0], spelled(*datagram.source[:2])
@@ -344,17 +386,48 @@ async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None
         return error.strerror or str(error)
     hub.diagnoses.observe_port(config.name, None)
     on_open()
-    link = hub.links.open(transport, find_protocol(config.protocol), _link_config(hub, config))
-    hub.diagnoses.observe_baud(link, config.bauds[0])
-    async with asyncio.TaskGroup() as tasks:
-        helpers = (
-            tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}"),
-            tasks.create_task(_watch_sharing(hub, transport, link), name=f"other programs at {config.name}"),
-        )
-        await hub.links.serve(link)
-        for helper in helpers:
-            helper.cancel()
-    return ""
+    protocols, found = _protocols_of(hub, config), b""
+    while True:
+        protocol, other = protocols[0], protocols[-1]
+        turn = Turn(transport, other, first=found)
+        link = hub.links.open(transport if protocol is other else turn, protocol, _link_config(hub, config))
+        turn.count_own, turn.on_other = partial(_frames_of, link), partial(link.end, LinkEnd.OTHER_PROTOCOL)
+        hub.diagnoses.observe_baud(link, transport.baud)
+        async with asyncio.TaskGroup() as tasks:
+            helpers = (
+                tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}"),
+                tasks.create_task(_watch_sharing(hub, transport, link), name=f"other programs at {config.name}"),
+                tasks.create_task(_invite(transport, link, other), name=f"invitation at {config.name}"),
+            )
+            await hub.links.serve(link)
+            for helper in helpers:
+                helper.cancel()
+        found = turn.taken
+        if not found:
+            return ""
+        hub.links.memories.forget(protocol, "serial", "", config.name)
+        log.info("serial.protocol_found", port=config.name, protocol=other.name)
+        protocols.reverse()
+
+
+def _protocols_of(hub: Hub, config: SerialConfig) -> list[DeviceProtocol]:
+    """Return the protocols that take turns at a port, the likeliest first."""
+    names = (ROSSERIAL, MICRO_ROS) if config.protocol == AUTO else (config.protocol,)
+    stream, memories = hub.config.micro_ros.velocity_stream, hub.links.memories
+    protocols = [find_protocol(each, "serial", velocity_stream=stream) for each in names]
+    return sorted(protocols, key=lambda each: not memories.has(each, "serial", "", config.name))
+
+
+def _frames_of(link: Link) -> int:
+    return link.session.counts.frames_from_device
+
+
+async def _invite(transport: SerialTransport, link: Link, other: DeviceProtocol) -> None:
+    """Invite a device of the other protocol that waits to be invited, while the port is silent."""
+    while other.name != link.session.protocol and other.invitation:
+        await asyncio.sleep(INVITE_S)
+        if link.silent_s >= INVITE_S:
+            transport.write(other.invitation)
 
 
 def _link_config(hub: Hub, config: SerialConfig) -> LinkConfig:
@@ -388,9 +461,9 @@ async def _watch_sharing(hub: Hub, transport: SerialTransport, link: Link) -> No
 
 async def _try_bauds(hub: Hub, transport: SerialTransport, link: Link, config: SerialConfig) -> None:
     """Try the baud rates in turn until a whole frame was received."""
-    if len(config.bauds) == 1:
-        return
-    for baud in itertools.cycle(config.bauds):
+    at = config.bauds.index(transport.baud)
+    rates = config.bauds[at:] + config.bauds[:at]
+    for baud in itertools.cycle(rates) if len(rates) > 1 else ():
         log.debug("serial.baud_tried", port=config.name, baud=baud)
         try:
             transport.set_baud(baud)
