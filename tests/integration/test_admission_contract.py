@@ -737,7 +737,7 @@ def test_guardian_has_frames_that_stop_each_command_type(name: str) -> None:
         for number, frame in enumerate(frames):
             assert isinstance(frame, Frame)
             assert board.is_at_rest(number, frame.payload)
-        assert device.link.last_frame == b"".join(zeros)  # the daemon's own last words are the same
+        assert device.link.last_frames == (b"".join(zeros),)  # the daemon's own last words are the same
         made.hub.join("driver").drive(made.robot(ROBOT), PlanarVelocity(0.2))
         await asyncio.sleep(0.1)
         assert made.guard.driven == {device.link.number}

@@ -10,6 +10,7 @@ On a serial line 7E begins a frame everywhere, also inside a broken one.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Final
 
 from hostlink.core.runtime.compiled import mypyc_attr
@@ -53,6 +54,7 @@ def crc16(data: bytes) -> int:
 class Framing(ABC):
     """Framing of one connection: bytes in, whole messages out, and the other way round."""
 
+    name = ""  # in FRAMINGS
     limit_bytes = 0xFFFF  # longest message
 
     def __init__(self) -> None:
@@ -76,6 +78,7 @@ class Framing(ABC):
 class DatagramFraming(Framing):
     """One message in each datagram."""
 
+    name = "datagram"
     limit_bytes = 65507  # of UDP
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -88,6 +91,8 @@ class DatagramFraming(Framing):
 
 class LengthFraming(Framing):
     """The length of each message in front of it, on TCP. Nothing can be damaged there, and nothing is found again."""
+
+    name = "length"
 
     def __init__(self) -> None:
         super().__init__()
@@ -112,6 +117,8 @@ class LengthFraming(Framing):
 
 class SerialFraming(Framing):
     """Frames with escapes and a checksum, on a serial line. A 7E interrupts the frame before it, which is skipped."""
+
+    name = "serial"
 
     def __init__(self) -> None:
         super().__init__()
@@ -181,6 +188,11 @@ class SerialFraming(Framing):
         content = head + message + crc16(message).to_bytes(_CRC_BYTES, "little")
         escaped = content.replace(_ESCAPE, bytes((ESCAPE, ESCAPE ^ FLIP)))
         return _BEGIN + escaped.replace(_BEGIN, bytes((ESCAPE, BEGIN ^ FLIP)))
+
+
+FRAMINGS: Final[dict[str, Callable[[], Framing]]] = {
+    each.name: each for each in (DatagramFraming, LengthFraming, SerialFraming)
+}
 
 
 def _raw_end(chunk: bytes, count: int) -> int:
