@@ -3,7 +3,7 @@
 INTERVAL_S = 0.05
 
 
-class StopFrames:
+class StopFrames:  # noqa: PLW1641 - compared by value, and in no set
     """Bytes of one device, and what its protocol says about writing them. A session makes it."""
 
     __slots__ = ("acknowledger", "claim_bytes", "end", "interval_s", "lead", "separator", "zeros")
@@ -40,8 +40,6 @@ class StopFrames:
         return isinstance(other, StopFrames) and all(
             getattr(self, name) == getattr(other, name) for name in self.__slots__
         )
-
-    __hash__ = None  # type: ignore[assignment] - compared by value, in tests
 
     def __repr__(self) -> str:
         return f"StopFrames({', '.join(f'{name}={getattr(self, name)!r}' for name in self.__slots__)})"

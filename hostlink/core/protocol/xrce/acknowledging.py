@@ -24,7 +24,7 @@ STREAMS_MAX: Final = 16  # of all clients behind one address
 
 
 class Acknowledger:
-    """Acknowledges the newest message that a board is known to have sent, whatever was lost before it.
+    """Acknowledges the newest message that a board is known to have sent, also when one before it was lost.
 
     It needs no session: the header of a message has what the header of its answer needs. It asks for nothing again,
     because its messages are not read.
@@ -40,7 +40,9 @@ class Acknowledger:
         answers: dict[tuple[int, bytes, int], bytes] = {}
         for each in self._framing.feed(data):
             message = decode_message(each)
-            for stream, number in () if message is None else _announced(message):
+            if message is None:
+                continue
+            for stream, number in _announced(message):
                 place = (message.session, message.key, stream)
                 newest = self._newest.get(place, number)
                 if place not in self._newest and len(self._newest) >= STREAMS_MAX:
