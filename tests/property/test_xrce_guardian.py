@@ -22,9 +22,7 @@ CATALOG = Catalog()
 COMMAND_S = 0.05
 LIMIT_S = 0.15
 BEGUN_S = 2.0
-BY_STREAM = {
-    stream: Xrce(MICRO_ROS_UDP._framing, keeps_datagrams=True, velocity_stream=stream) for stream in (0x00, 0x01)
-}
+BY_STREAM = {stream: Xrce.on("udp", velocity_stream=stream) for stream in (0x00, 0x01)}
 
 
 def cdr(name: str, message: dict[str, object]) -> bytes:

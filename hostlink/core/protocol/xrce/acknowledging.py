@@ -5,7 +5,7 @@ A client waits for up to a second until a reliable message is acknowledged, and 
 
 from typing import Final
 
-from hostlink.core.protocol.xrce.framing import FRAMINGS
+from hostlink.core.protocol.xrce.framing import framing_on
 from hostlink.core.protocol.xrce.wire import (
     NO_STREAM,
     RELIABLE,
@@ -30,9 +30,9 @@ class Acknowledger:
     because its messages are not read.
     """
 
-    def __init__(self, framing: str) -> None:
-        """`framing`: a name of FRAMINGS."""
-        self._framing = FRAMINGS[framing]()
+    def __init__(self, transport: str) -> None:
+        """`transport`: as in `framing_on`."""
+        self._framing = framing_on(transport)()
         self._newest: dict[tuple[int, bytes, int], int] = {}  # number, by session, key and stream
 
     def receive(self, data: bytes) -> list[bytes]:

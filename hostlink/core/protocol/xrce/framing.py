@@ -10,7 +10,6 @@ On a serial line 7E begins a frame everywhere, also inside a broken one.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Final
 
 from hostlink.core.runtime.compiled import mypyc_attr
@@ -54,7 +53,7 @@ def crc16(data: bytes) -> int:
 class Framing(ABC):
     """Framing of one connection: bytes in, whole messages out, and the other way round."""
 
-    name = ""  # in FRAMINGS
+    transport = ""  # on which it is used: "udp", "tcp" or "serial"
     limit_bytes = 0xFFFF  # longest message
 
     def __init__(self) -> None:
@@ -78,7 +77,7 @@ class Framing(ABC):
 class DatagramFraming(Framing):
     """One message in each datagram."""
 
-    name = "datagram"
+    transport = "udp"
     limit_bytes = 65507  # of UDP
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -92,7 +91,7 @@ class DatagramFraming(Framing):
 class LengthFraming(Framing):
     """The length of each message in front of it, on TCP. Nothing can be damaged there, and nothing is found again."""
 
-    name = "length"
+    transport = "tcp"
 
     def __init__(self) -> None:
         super().__init__()
@@ -118,7 +117,7 @@ class LengthFraming(Framing):
 class SerialFraming(Framing):
     """Frames with escapes and a checksum, on a serial line. A 7E interrupts the frame before it, which is skipped."""
 
-    name = "serial"
+    transport = "serial"
 
     def __init__(self) -> None:
         super().__init__()
@@ -190,9 +189,12 @@ class SerialFraming(Framing):
         return _BEGIN + escaped.replace(_BEGIN, bytes((ESCAPE, BEGIN ^ FLIP)))
 
 
-FRAMINGS: Final[dict[str, Callable[[], Framing]]] = {
-    each.name: each for each in (DatagramFraming, LengthFraming, SerialFraming)
-}
+FRAMINGS: Final[tuple[type[Framing], ...]] = (DatagramFraming, LengthFraming, SerialFraming)
+
+
+def framing_on(transport: str) -> type[Framing]:
+    """Return the framing on a transport, as `Framing.transport` names it; that of UDP if it is not known."""
+    return next((each for each in FRAMINGS if each.transport == transport), DatagramFraming)
 
 
 def _raw_end(chunk: bytes, count: int) -> int:

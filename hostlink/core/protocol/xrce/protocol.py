@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.session import DeviceProtocol
-from hostlink.core.protocol.xrce.framing import DatagramFraming, Framing, LengthFraming, SerialFraming
+from hostlink.core.protocol.xrce.framing import FRAMINGS, DatagramFraming, Framing, framing_on
 from hostlink.core.protocol.xrce.payloads import Payloads
 from hostlink.core.protocol.xrce.resume import SessionState
 from hostlink.core.protocol.xrce.session import NAME, XrceSession
@@ -22,6 +22,12 @@ class Xrce(DeviceProtocol):
         """`velocity_stream`: as in XrceSession."""
         self.keeps_datagrams = keeps_datagrams
         self._framing, self._velocity_stream = framing, velocity_stream
+
+    @classmethod
+    def on(cls, transport: str, *, velocity_stream: int = NO_STREAM) -> "Xrce":
+        """Return the protocol on a transport, as Framing.transport names it; on UDP if it is not known."""
+        framing = framing_on(transport)
+        return cls(framing, keeps_datagrams=framing is DatagramFraming, velocity_stream=velocity_stream)
 
     def session(
         self,
@@ -58,6 +64,4 @@ class Xrce(DeviceProtocol):
         return b"".join(framing.encode(each) for each in answers if each is not None)
 
 
-MICRO_ROS_UDP = Xrce(DatagramFraming, keeps_datagrams=True)
-MICRO_ROS_TCP = Xrce(LengthFraming)
-MICRO_ROS_SERIAL = Xrce(SerialFraming)
+MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL = (Xrce.on(each.transport) for each in FRAMINGS)

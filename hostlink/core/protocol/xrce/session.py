@@ -254,6 +254,11 @@ class XrceSession(DeviceSession):
         return super().pop_frame(now_s=now_s, wall_ns=wall_ns)
 
     @property
+    def captured_as(self) -> str:
+        """Name by which the protocol of a capture is found again: with the transport, which has its own framing."""
+        return f"{NAME}/{self._framing.transport}"
+
+    @property
     def bad_checksums(self) -> int:
         """Number of serial frames with a wrong checksum."""
         return self._framing.bad_checksums
@@ -435,7 +440,7 @@ class XrceSession(DeviceSession):
 
     def stop_frames(self, zeros: tuple[bytes, ...]) -> StopFrames:
         """Return these messages, and what acknowledges those of the board. On TCP none is expected to be half sent."""
-        return StopFrames(zeros, interval_s=STOP_INTERVAL_S, acknowledger=f"{ACKNOWLEDGER}:{self._framing.name}")
+        return StopFrames(zeros, interval_s=STOP_INTERVAL_S, acknowledger=f"{ACKNOWLEDGER}:{self._framing.transport}")
 
     def endpoint_of(self, topic: str, payload: bytes) -> DeviceEndpoint:
         """Return the endpoint of a topic to which the device subscribes. It takes messages as long as this one.

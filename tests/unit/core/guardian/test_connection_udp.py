@@ -86,7 +86,7 @@ def test_frames_of_a_protocol_that_keeps_datagrams_are_one_each(pair: tuple[sock
 
 
 def watched_board(
-    ours: socket.socket, place: str = "hostlink.core.protocol.xrce.acknowledging:datagram"
+    ours: socket.socket, place: str = "hostlink.core.protocol.xrce.acknowledging:udp"
 ) -> GuardedConnection:
     return GuardedConnection(ours.dup().detach(), StopFrames((b"zero",), interval_s=0.12, acknowledger=place))
 
@@ -113,7 +113,7 @@ def test_message_that_a_board_sends_reliably_is_acknowledged_and_the_zeros_follo
     assert not connection.is_open
 
 
-@pytest.mark.parametrize("place", ["no.such.module:x", "hostlink.core.protocol.xrce.acknowledging:no_such_framing"])
+@pytest.mark.parametrize("place", ["no.such.module:x", "hostlink.core.protocol.xrce.session:x"])
 def test_board_is_stopped_also_if_what_acknowledges_cannot_be_imported(
     pair: tuple[socket.socket, socket.socket], place: str
 ) -> None:

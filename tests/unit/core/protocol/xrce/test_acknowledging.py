@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hostlink.core.protocol.xrce.acknowledging import STREAMS_MAX, Acknowledger
 from tests.support.xrce_board import FRAGMENT, HEARTBEAT, WRITE, Datagrams, Lengths, Serial, ahead, sub
 
-FRAMINGS = {"datagram": Datagrams, "length": Lengths, "serial": Serial}
+FRAMINGS = {"udp": Datagrams, "tcp": Lengths, "serial": Serial}
 
 
 def message(number: int, *, session: int = 0x81, stream: int = 0x80, key: bytes = b"", body: bytes = b"") -> bytes:
@@ -29,14 +29,14 @@ def test_message_of_a_reliable_stream_is_acknowledged_in_the_framing_of_the_tran
 
 
 def test_answer_has_the_session_the_key_and_the_stream_of_what_it_answers() -> None:
-    ours = Acknowledger("datagram")
+    ours = Acknowledger("udp")
     assert ours.receive(message(0xFFFF, session=0x01, key=b"abcd")) == [acknack(0, session=0x01, key=b"abcd")]
     assert ours.receive(message(3, stream=0x81)) == [acknack(4, stream=0x81)]
 
 
 def test_heartbeat_is_answered_with_the_number_after_its_last() -> None:
     body = sub(HEARTBEAT, struct.pack("<HHB", 3, 5, 0x80))
-    assert Acknowledger("datagram").receive(message(0, stream=0, body=body)) == [acknack(6)]
+    assert Acknowledger("udp").receive(message(0, stream=0, body=body)) == [acknack(6)]
 
 
 @pytest.mark.parametrize(
@@ -51,25 +51,25 @@ def test_heartbeat_is_answered_with_the_number_after_its_last() -> None:
     ],
 )
 def test_bytes_of_no_reliable_stream_are_not_answered(data: bytes) -> None:
-    assert Acknowledger("datagram").receive(data) == []
+    assert Acknowledger("udp").receive(data) == []
 
 
 def test_late_message_is_answered_with_the_newest_number() -> None:
     """A client that reads an older ACKNACK after a newer one forgets what it keeps."""
-    ours = Acknowledger("datagram")
+    ours = Acknowledger("udp")
     numbers = [0xFFFE, 0, 0xFFFF, 1, 0xFFFE]
     assert [ours.receive(message(each)) for each in numbers] == [[acknack(each)] for each in (0xFFFF, 1, 1, 2, 2)]
 
 
 def test_bytes_of_several_messages_have_one_answer_for_each_stream() -> None:
-    board, ours = Lengths(), Acknowledger("length")
+    board, ours = Lengths(), Acknowledger("tcp")
     parts = [message(each, body=sub(FRAGMENT, bytes(20))) for each in (4, 5)]
     answers = ours.receive(b"".join(map(board.encode, [*parts, message(9, stream=0x81)])))
     assert [board.decode(each) for each in answers] == [[acknack(6)], [acknack(10, stream=0x81)]]
 
 
 def test_streams_that_it_keeps_are_limited() -> None:
-    ours = Acknowledger("datagram")
+    ours = Acknowledger("udp")
     for session in range(0x80, 0x80 + STREAMS_MAX):
         assert len(ours.receive(message(1, session=session))) == 1
     assert ours.receive(message(1, session=0xFF)) == []
