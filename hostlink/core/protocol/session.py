@@ -177,6 +177,10 @@ class DeviceSession(ABC):
             FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
         """
 
+    def drop_commands(self, endpoint: DeviceEndpoint) -> None:
+        """Send no message of an endpoint that waits: it would follow a zero."""
+        self.outbox.drop_commands(endpoint.id)
+
     @abstractmethod
     def endpoint_of(self, topic: str, payload: bytes) -> DeviceEndpoint:
         """Return the endpoint of a topic to which the device subscribes. It takes messages as long as this one.

@@ -14,7 +14,7 @@ from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
 from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
 from hostlink.core.protocol.session import DeviceSession
-from hostlink.core.protocol.xrce.client import REPEAT_S, WAITING_MAX, Reading, XrceClient, Zero
+from hostlink.core.protocol.xrce.client import EMPTY, REPEAT_S, WAITING_MAX, Reading, XrceClient, Zero, is_data_for
 from hostlink.core.protocol.xrce.framing import Framing
 from hostlink.core.protocol.xrce.objects import ENDPOINTS, XrceObject, decode_object, kind_of
 from hostlink.core.protocol.xrce.payloads import Payloads
@@ -392,7 +392,7 @@ class XrceSession(DeviceSession):
         if is_urgent:
             message = self._velocity(client, endpoint, content)
             client.zeros.pop(endpoint.id, None)
-            client.samples.pop(object_id(endpoint), None)
+            self._drop_samples(client, endpoint)
             if client.is_slow and client.flying_until_s > self._now_s:
                 self.outbox.replaced += endpoint.id in client.held
                 client.held[endpoint.id] = (message, is_kept)
@@ -416,10 +416,19 @@ class XrceSession(DeviceSession):
             self.call(endpoint.name, payload)
             return True
         client.held.pop(endpoint.id, None)
+        self._drop_samples(client, endpoint)
         message = self._velocity(client, endpoint, self._translated(endpoint, payload))
         client.zeros[endpoint.id] = Zero(message, self._now_s)
         self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)
         return True
+
+    def drop_commands(self, endpoint: DeviceEndpoint) -> None:
+        """Send no message of an endpoint that waits, and none again that was lost."""
+        super().drop_commands(endpoint)
+        client = self._client_of(endpoint)
+        if client is not None:
+            client.held.pop(endpoint.id, None)
+            self._drop_samples(client, endpoint)
 
     def zero_frames(self, endpoint: DeviceEndpoint, payload: bytes) -> tuple[bytes, ...]:
         """Return a zero: a message without a number, which stays the same.
@@ -572,6 +581,17 @@ class XrceSession(DeviceSession):
         if len(message) > client.mtu:
             raise FrameTooLarge(endpoint.name, len(message), client.mtu)
         return message
+
+    def _drop_samples(self, client: XrceClient, endpoint: DeviceEndpoint) -> None:
+        """Drop the messages of a reader that wait. A number that was given is sent with an empty body.
+
+        Of a message in fragments the client needs all: these stay.
+        """
+        id_, start = object_id(endpoint), client.header_bytes
+        self.outbox.replaced += client.drop_samples(id_)
+        for each in self.outbox.answers.get(ANSWERS, ()):
+            if each.frame[0] == client.session and is_data_for(each.frame[start:], id_):
+                each.frame = each.frame[:start] + EMPTY
 
     # -- messages from the device -------------------------------------------------------------------------------------
 

@@ -1001,6 +1001,43 @@ def test_zeros_with_a_number_are_taken_after_any_other_number(newest: int, lost:
         here.client.taken.clear()
 
 
+@pytest.mark.parametrize("stream", [0x80, 0x01])
+@pytest.mark.parametrize("way", ["drop", "urgent", "zero"])
+def test_message_that_waits_or_was_lost_does_not_follow_a_zero(stream: int, way: str) -> None:
+    """Six messages: of a reliable reader four are on their way and lost, and two wait for the acknowledgement."""
+    here = connected(stream=stream)
+    here.link.loss = 1.0
+    for number in range(6):
+        here.session.publish("/cmd_vel", TWIST.pack(0.1 * number, 0, 0, 0, 0, 0.5), depth=10)
+        if number < 5:
+            here.write()
+    endpoint = here.session.endpoint_of("/cmd_vel", VELOCITY)
+    if way == "drop":
+        here.session.drop_commands(endpoint)
+    elif way == "urgent":
+        here.session.publish("/cmd_vel", ZERO, is_urgent=True)
+    else:
+        assert here.session.send_zero(endpoint, ZERO)
+    here.link.loss = 0.0
+    here.write()
+    here.run(here.now_s + 2.0)
+    assert set(taken(here, READER)) == (set() if way == "drop" else {ZERO})
+    here.session.publish("/words", b"\5\0\0\0after")
+    here.write()
+    here.run(here.now_s + 1.0)
+    assert len(taken(here, 0x16)) == 1  # the reliable stream goes on
+
+
+def test_message_that_waits_for_the_line_does_not_follow_a_zero() -> None:
+    here = connected(session=made(uart_bytes_s=3840))
+    here.session.publish("/words", b"\7\0\0\0earlier")
+    here.session.publish("/cmd_vel", VELOCITY)
+    here.session.drop_commands(here.session.endpoint_of("/cmd_vel", VELOCITY))
+    here.write()
+    here.run(here.now_s + 2.0)
+    assert (len(taken(here, 0x16)), taken(here, READER)) == (1, [])
+
+
 # -- liveness, damage, captures ---------------------------------------------------------------------------------------
 
 
