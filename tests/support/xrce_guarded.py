@@ -3,6 +3,7 @@
 from typing import Any
 
 from hostlink.core.guardian.frames import StopWriter
+from hostlink.core.guardian.process import END_S
 from hostlink.core.protocol.xrce.acknowledging import Acknowledger
 from hostlink.core.runtime.stop_frames import StopFrames
 from tests.support.xrce_board import World
@@ -43,13 +44,17 @@ class GuardedWorld(World):
         self.at(self.now_s + noticed_s, begin)
 
     def hang(self, stop: StopFrames, seconds: float, *, hang_s: float = 1.0) -> None:
-        """Stop the host for a time: what arrives waits. The guardian writes zeros after a while, and reads nothing."""
+        """Stop the host for a time: what arrives waits. The guardian writes zeros, and answers what waits."""
         self.is_host_there, self._is_hung = False, True
 
         def begin() -> None:
             if self._is_hung:
-                self._killed_s = self.now_s
-                self._guard(StopWriter(stop, has_end=False, part_bytes=PART_BYTES))
+                self._acknowledger = Acknowledger(stop.acknowledger.partition(":")[2])
+                writer = StopWriter(stop, has_end=False, part_bytes=PART_BYTES)
+                self._guard(writer)
+                for each in self._unread:  # which stay for the host
+                    self._answer(each)
+                self.at(self.now_s + END_S, lambda: self._forget(writer))
 
         def end() -> None:
             self.is_host_there, self._is_hung, self._writer = True, False, None
@@ -83,8 +88,16 @@ class GuardedWorld(World):
     def _to_host(self, message: bytes) -> None:
         if self.is_host_there:
             super()._to_host(message)
-        elif self._writer is None or self._acknowledger is None:
+            return
+        if self._is_hung or self._writer is None:
             self._unread.append(message)
-        else:
+        self._answer(message)
+
+    def _answer(self, message: bytes) -> None:
+        if self._writer is not None and self._acknowledger is not None:
             self._writer.answer(self._acknowledger.receive(message))
             self._write()
+
+    def _forget(self, writer: StopWriter) -> None:
+        if self._writer is writer:
+            self._writer = None

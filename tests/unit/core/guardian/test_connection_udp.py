@@ -124,15 +124,36 @@ def test_board_is_stopped_also_if_what_acknowledges_cannot_be_imported(
     assert received(device)[:1] == [b"zero"]
 
 
-def test_hanging_daemon_keeps_what_its_board_sends(pair: tuple[socket.socket, socket.socket]) -> None:
+def test_board_of_a_hanging_daemon_is_answered_and_what_it_sends_is_kept_for_the_daemon(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
     ours, device = pair
-    device.send(b"\x81\x80\x07\x00")
+    connection = watched_board(ours)
+    for number in (7, 8):
+        device.send(bytes((0x81, 0x80, number, 0)))
+    for turn in range(2):  # it hangs twice
+        connection.begin_hold()
+        assert connection.hold(0.0) == 0.0  # at once again
+        for hundredth in range(1, 30):
+            connection.hold(hundredth / 100)
+            if hundredth == 3:
+                device.send(bytes((0x81, 0x80, 0x30 + turn, 0)))
+        acknowledged = [each[8] for each in received(device) if each[:5] == b"\x81\0\0\0\x0a"]
+        assert acknowledged == [8, 9, *range(0x31, 0x32 + turn)]
+    ours.setblocking(False)
+    assert [each[2] for each in received(ours)] == [7, 8, 0x30, 0x31]
+    connection.close()
+
+
+def test_zeros_of_a_hanging_daemon_follow_each_other_where_a_board_sends_nothing(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    ours, device = pair
     connection = watched_board(ours)
     connection.begin_hold()
     for hundredth in range(40):
         connection.hold(hundredth / 100)
     assert received(device) == [b"zero"] * 3
-    assert ours.recv(100) == b"\x81\x80\x07\x00"
     connection.close()
 
 
