@@ -32,6 +32,7 @@ from hostlink.core.robot.model import (
     find_robot,
     misfit,
     name_of,
+    name_of_node,
     namespace_of,
     suggest,
     suggestion,
@@ -329,6 +330,7 @@ class Links:
             now_s=asyncio.get_running_loop().time(),
             peer=link.peer,
             announced=infos,
+            node=link.session.node,
         )
         if isinstance(claim, Undecided):
             self._wait(device, claim)
@@ -517,6 +519,7 @@ class Links:
         if robot is None:
             return "", settings
         own = "" if found is None else found.name
+        node = name_of_node(link.session.node)
         if chosen == robot.name:
             return f"[robots.{chosen}] in hostlink.toml", settings
         if own and robot.name == own:
@@ -524,6 +527,9 @@ class Links:
             return f"the {'namespace' if namespace_of(command) else 'name'} of its command {command}", settings
         if own:
             return f"its command {robot.topics.velocity}, with a number: another device has the name {own}", settings
+        if node:
+            numbered = "" if robot.name == node else f", with a number: another device has the name {node}"
+            return f"the node {link.session.node} of its device{numbered}", settings
         return (
             f"a number, which is kept for {link.address}: its command {robot.topics.velocity} tells no name",
             settings,

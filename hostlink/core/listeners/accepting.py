@@ -11,11 +11,13 @@ from functools import partial
 
 import structlog
 
-from hostlink.core.config import LinkConfig, SerialConfig, TcpConfig, UdpConfig
+from hostlink.core.config import AUTO, MICRO_ROS, ROSSERIAL, LinkConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import Authenticate, LinkEnd, trust
+from hostlink.core.listeners.turns import Turn
 from hostlink.core.protocol.registry import find_protocol
+from hostlink.core.protocol.session import DeviceProtocol
 from hostlink.core.runtime.acceptor import EXHAUSTED
 from hostlink.core.runtime.listening import spelled
 from hostlink.core.runtime.log_budget import Budget
@@ -369,17 +371,45 @@ async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None
         return error.strerror or str(error)
     hub.diagnoses.observe_port(config.name, None)
     on_open()
-    link = hub.links.open(transport, find_protocol(config.protocol), _link_config(hub, config))
-    hub.diagnoses.observe_baud(link, config.bauds[0])
-    async with asyncio.TaskGroup() as tasks:
-        helpers = (
-            tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}"),
-            tasks.create_task(_watch_sharing(hub, transport, link), name=f"other programs at {config.name}"),
-        )
-        await hub.links.serve(link)
-        for helper in helpers:
-            helper.cancel()
-    return ""
+    protocols, found = _protocols_of(hub, config), b""
+    while True:
+        protocol, other = protocols[0], protocols[-1]
+        turn = Turn(transport, other, first=found)
+        link = hub.links.open(transport if protocol is other else turn, protocol, _link_config(hub, config))
+        turn.count_own, turn.on_other = partial(_frames_of, link), partial(link.end, LinkEnd.OTHER_PROTOCOL)
+        hub.diagnoses.observe_baud(link, transport.baud)
+        async with asyncio.TaskGroup() as tasks:
+            helpers = (
+                tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}"),
+                tasks.create_task(_watch_sharing(hub, transport, link), name=f"other programs at {config.name}"),
+                tasks.create_task(_invite(transport, link, other), name=f"invitation at {config.name}"),
+            )
+            await hub.links.serve(link)
+            for helper in helpers:
+                helper.cancel()
+        found = turn.taken
+        if not found:
+            return ""
+        log.info("serial.protocol_found", port=config.name, protocol=other.name)
+        protocols.reverse()
+
+
+def _protocols_of(hub: Hub, config: SerialConfig) -> list[DeviceProtocol]:
+    """Return the protocols that take turns at a port, the likeliest first."""
+    names = (ROSSERIAL, MICRO_ROS) if config.protocol == AUTO else (config.protocol,)
+    return [find_protocol(each, "serial", velocity_stream=hub.config.micro_ros.velocity_stream) for each in names]
+
+
+def _frames_of(link: Link) -> int:
+    return link.session.counts.frames_from_device
+
+
+async def _invite(transport: SerialTransport, link: Link, other: DeviceProtocol) -> None:
+    """Invite a device of the other protocol that waits to be invited, while the port is silent."""
+    while other.name != link.session.protocol and other.invitation:
+        await asyncio.sleep(INVITE_S)
+        if link.silent_s >= INVITE_S:
+            transport.write(other.invitation)
 
 
 def _link_config(hub: Hub, config: SerialConfig) -> LinkConfig:
@@ -413,9 +443,9 @@ async def _watch_sharing(hub: Hub, transport: SerialTransport, link: Link) -> No
 
 async def _try_bauds(hub: Hub, transport: SerialTransport, link: Link, config: SerialConfig) -> None:
     """Try the baud rates in turn until a whole frame was received."""
-    if len(config.bauds) == 1:
-        return
-    for baud in itertools.cycle(config.bauds):
+    at = config.bauds.index(transport.baud)
+    rates = config.bauds[at:] + config.bauds[:at]
+    for baud in itertools.cycle(rates) if len(rates) > 1 else ():
         log.debug("serial.baud_tried", port=config.name, baud=baud)
         try:
             transport.set_baud(baud)

@@ -137,6 +137,11 @@ class DeviceSession(ABC):
         """The usable endpoints of the last announcement."""
 
     @property
+    def node(self) -> str:
+        """Name of the device's node in ROS, with its namespace; empty where a protocol has none."""
+        return ""
+
+    @property
     def refusals(self) -> tuple[tuple[DeviceEndpoint, HostlinkError], ...]:
         """Endpoints that cannot be used, with the reason."""
         return ()
@@ -282,6 +287,10 @@ class DeviceProtocol(ABC):
     @abstractmethod
     def is_greeting(self, data: bytes) -> bool:
         """Whether a datagram of an unknown sender is of this protocol."""
+
+    def is_in(self, data: bytes) -> bool:
+        """Whether bytes of a serial port contain a whole message of this protocol."""
+        return self.is_greeting(data)
 
     def answer_ping(self, data: bytes) -> bytes:  # noqa: ARG002 - for protocols with a question that needs no session
         """Return the answer to a datagram that asks only whether a host is there; empty: it asks something else."""

@@ -8,7 +8,7 @@ from hostlink.core.protocol.xrce.framing import FRAMINGS, DatagramFraming, Frami
 from hostlink.core.protocol.xrce.payloads import Payloads
 from hostlink.core.protocol.xrce.resume import SessionState
 from hostlink.core.protocol.xrce.session import NAME, XrceSession
-from hostlink.core.protocol.xrce.wire import NO_STREAM, answer_ping, is_create_client
+from hostlink.core.protocol.xrce.wire import NO_STREAM, answer_ping, decode_message, is_create_client
 
 
 class Xrce(DeviceProtocol):
@@ -56,6 +56,10 @@ class Xrce(DeviceProtocol):
     def is_greeting(self, data: bytes) -> bool:
         """Whether the bytes create a client."""
         return any(map(is_create_client, self._framing().feed(data)))
+
+    def is_in(self, data: bytes) -> bool:
+        """Whether the bytes contain a message of any client, or a ping."""
+        return any(decode_message(each) is not None for each in self._framing().feed(data))
 
     def answer_ping(self, data: bytes) -> bytes:
         """Return the answer to pings that need no link; empty if there are none."""
