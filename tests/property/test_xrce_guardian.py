@@ -126,7 +126,7 @@ def test_board_with_a_bad_radio_ends_at_zero(after_s: float, seed: int, stream: 
 
 @pytest.mark.slow
 @given(st.floats(0.0, 0.1), st.integers(0, 1000), st.sampled_from([0.0, 0.03, 0.1]))
-def test_board_of_a_host_that_hangs_stands_in_time_and_goes_on_with_it(
+def test_board_of_a_host_that_hangs_stands_in_time_and_continues_with_it(
     after_s: float, seed: int, turn_s: float
 ) -> None:
     """The guardian writes zeros after a second, and answers what it looks at. The host reads all of it afterwards."""

@@ -43,7 +43,7 @@ class Device:
         self._came.set()
 
     def wake(self) -> None:
-        """Let the program go on, as if a message had come that is none."""
+        """Let the program continue as after a message, with an empty one."""
         self._inbox.append(b"")
         self._came.set()
 

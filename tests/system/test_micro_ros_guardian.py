@@ -97,7 +97,7 @@ async def test_board_with_a_bad_radio_of_a_killed_daemon_stands() -> None:
             await expect_never(lambda: is_moving(device), for_s=0.5)
 
 
-async def test_board_of_a_stopped_daemon_stands_and_drives_again_when_it_goes_on() -> None:
+async def test_board_of_a_stopped_daemon_stands_and_is_driven_again_afterwards() -> None:
     async with driving(stock(keeps=4)) as (daemon, (device,)):
         began_s = time.monotonic()
         os.kill(daemon.pid, signal.SIGSTOP)

@@ -1025,7 +1025,7 @@ def test_message_that_waits_or_was_lost_does_not_follow_a_zero(stream: int, way:
     here.session.publish("/words", b"\5\0\0\0after")
     here.write()
     here.run(here.now_s + 1.0)
-    assert len(taken(here, 0x16)) == 1  # the reliable stream goes on
+    assert len(taken(here, 0x16)) == 1  # the reliable stream continues
 
 
 def test_message_that_waits_for_the_line_does_not_follow_a_zero() -> None:
