@@ -416,7 +416,7 @@ class Stock:
         """Keep a message as the middleware does: a program that blocks in a publish takes none."""
         if not self.keeps:
             self.take(object_, payload)
-        elif len(self.kept) < self.keeps:
+        elif self.is_running and len(self.kept) < self.keeps:  # before, it has no reader
             self.kept.append((object_, payload))
 
     def take(self, object_: int, payload: bytes) -> None:

@@ -111,6 +111,7 @@ class XrceClient:
         self.id_key = info.key if info.session < KEYLESS else b""
         self.header_bytes = header_bytes(info.session)
         self.mtu = min(info.mtu, limit_bytes)
+        self.is_announced = False  # the hub knows its endpoints; only zeros are sent before
         self.objects = ObjectTable(max_endpoints)
         self.readings: dict[int, Reading] = {}
         self.reads: dict[int, bytes] = {}  # payload of each READ_DATA that counts

@@ -544,7 +544,7 @@ class XrceSession(DeviceSession):
         """Return the endpoint of a name, its client, and the payload for it."""
         endpoint = self._by_name.get((name, kind))
         client = None if endpoint is None or self._object_of(endpoint) is None else self._client_of(endpoint)
-        if endpoint is None or client is None:
+        if endpoint is None or client is None or not client.is_announced:  # it may have begun anew, at rest
             raise UnknownTopic(what, name, tuple(each.name for each in self._known if each.kind is kind))
         if endpoint.key in self._refused:
             raise self._refused[endpoint.key].with_traceback(None)  # otherwise the traceback grows with each raise
@@ -824,6 +824,7 @@ class XrceSession(DeviceSession):
         reliable = client.inputs.get(message.stream)
         if message.number == 0 or (reliable is not None and abs(distance(reliable.next, message.number)) > WINDOW):
             client.reset_streams(now_s)
+            client.is_announced = False
             self.outbox.drop_messages()
             self._is_restarted = True
             self._announce_s = now_s + QUIET_S
@@ -962,6 +963,7 @@ class XrceSession(DeviceSession):
     def _endpoints(self) -> Iterable[DeviceEndpoint]:
         for client in self._clients.values():
             if client.is_confirmed:
+                client.is_announced = True
                 for each in client.objects.endpoints():
                     name, type_ = client.objects.name_and_type(each)
                     for kind in ENDPOINTS[each.kind]:

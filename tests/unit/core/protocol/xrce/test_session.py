@@ -854,6 +854,25 @@ def test_endpoint_without_responses_is_refused() -> None:
         here.session.response_endpoint(velocity)
 
 
+@pytest.mark.parametrize("key", [KEY, b"\5\6\7\x08"])
+def test_board_that_has_begun_anew_gets_no_velocity_before_it_is_announced(key: bytes) -> None:
+    """The hub knows nothing of the restart yet: the driver's next velocity would move a board that has just booted."""
+    here = connected()
+    velocity = here.session.endpoint_of("/cmd_vel", VELOCITY)
+    here.client = Client(key=key)
+    here.restart_board(here.client, idle())
+    assert here.do(here.client.connect())
+    here.do(creations(here.client))
+    with pytest.raises(UnknownTopic):
+        here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    assert here.session.send_zero(velocity, ZERO)
+    here.write()
+    here.run(here.now_s + 0.05)
+    assert taken(here, READER) == [ZERO]
+    here.run(here.now_s + 2 * QUIET_S)
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+
+
 # -- stopping ---------------------------------------------------------------------------------------------------------
 
 
