@@ -1,19 +1,15 @@
 """Guess the baud rate of a device's UART from the bytes that a reader at another rate receives.
 
-rosserial frames are put on a simulated line at every usual rate and read at the reader's rate. The byte pairs in the
-result are the model of a rate. The guess is the rate under which the sample is most likely. In simulation, with clocks
-2 % off and any pauses between bytes, 149 of 152 named rates were right. Whole bytes of a faster
-device fall between two samples. Then only that fact is reported, in six of ten cases.
+Messages of the device's protocol are put on a simulated line at every usual rate and read at the reader's rate. The
+byte pairs in the result are the model of a rate. The guess is the rate under which the sample is most likely. In
+simulation of rosserial, with clocks 2 % off and any pauses between bytes, 149 of 152 named rates were right. Whole
+bytes of a faster device fall between two samples. Then only that fact is reported, in six of ten cases.
 """
 
 import functools
 import math
 from collections import Counter
 from typing import NamedTuple
-
-from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.core.protocol.rosserial.control import encode_topic_info
-from hostlink.core.protocol.rosserial.frame import Id, encode
 
 STANDARD_BAUDS = (9600, 19200, 38400, 57600, 74880, 115200, 230400, 250000, 460800, 500000, 921600, 1000000)
 BOOT_BAUD = 74880  # rate of an ESP8266's boot loader, independent of the firmware; otherwise unused
@@ -25,20 +21,6 @@ _GAPS_BITS = (0.0, 0.5, 1.3, 3.0)  # back to back, and with the pauses of a busy
 _SMOOTHING = 0.02
 _PAIRS = 1 << 16
 
-_INFOS = (
-    DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/odom", "nav_msgs/Odometry", "cd5e73d190d741a2f92e81eda573aca7", 512),
-    DeviceEndpoint(
-        EndpointKind.SUBSCRIBER, 100, "/cmd_vel", "geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a", 512
-    ),
-    DeviceEndpoint(EndpointKind.PUBLISHER, 126, "/chatter", "std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", 512),
-)
-_FRAMES = b"".join(
-    [
-        *[encode(Id.TIME, bytes(8))] * 8,
-        *(encode(info.kind, encode_topic_info(info)) for info in _INFOS),
-        *(encode(125, bytes(4) + bytes([number * 37 & 0xFF, 0x3F]) * 10) for number in range(4)),
-    ]
-)
 _BOOT_TEXT = (
     b"\r\n ets Jan  8 2013,rst cause:2, boot mode:(3,6)\r\n\r\n"
     b"load 0x4010f000, len 3424, room 16 \r\ntail 0\r\nchksum 0x2e\r\n"
@@ -65,12 +47,15 @@ class LineSpeed(NamedTuple):
         return f"sent at about {self.baud / BRIDGE_BAUD:.2g} times the reader's baud rate"
 
 
-def guess_speed(sample: bytes, baud: int | None) -> LineSpeed | None:
-    """Guess the device's baud rate; None if the bytes do not show it. `baud` is the reader's rate, None if unknown."""
+def guess_speed(sample: bytes, baud: int | None, usual: bytes) -> LineSpeed | None:
+    """Guess the device's baud rate; None if the bytes do not show it.
+
+    `baud` is the reader's rate, None if unknown. `usual` is what devices of this protocol send.
+    """
     if len(sample) < MIN_SAMPLE_BYTES:
         return None
     reader_baud = BRIDGE_BAUD if baud is None else baud
-    models = {other: _model(other, reader_baud / other) for other in STANDARD_BAUDS}
+    models = {other: _model(usual, other, reader_baud / other) for other in STANDARD_BAUDS}
     best, margin = _most_likely(sample, models)
     if margin < MIN_MARGIN or best == reader_baud:
         return None
@@ -83,10 +68,10 @@ _Model = tuple[Counter[bytes], int]
 
 
 @functools.cache
-def _model(baud: int, ratio: float) -> _Model:
-    from hostlink.core.protocol.rosserial.resampling import resample  # noqa: PLC0415 - it needs numpy, which takes 0.1 s to import
+def _model(usual: bytes, baud: int, ratio: float) -> _Model:
+    from hostlink.core.protocol.resampling import resample  # noqa: PLC0415 - it needs numpy, which takes 0.1 s to import
 
-    data = _BOOT_TEXT + _FRAMES if baud == BOOT_BAUD else _FRAMES
+    data = _BOOT_TEXT + usual if baud == BOOT_BAUD else usual
     pairs: Counter[bytes] = Counter()
     for error in _CLOCK_ERRORS:
         for gap_bits in _GAPS_BITS:
