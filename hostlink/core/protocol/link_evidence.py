@@ -79,7 +79,7 @@ GuessSpeed = Callable[[bytes, int | None], LineSpeed | None]  # from skipped byt
 
 
 def explain_unreadable(evidence: LinkEvidence) -> Mapping[str, str]:
-    """Say whether skipped bytes are most of what comes. For any protocol."""
+    """Say whether most bytes were skipped. For any protocol."""
     return {"no_sync": evidence.share} if evidence.is_unreadable and not evidence.is_shared else {}
 
 

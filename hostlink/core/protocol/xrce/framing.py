@@ -54,6 +54,7 @@ class Framing(ABC):
     """Framing of one connection: bytes in, whole messages out, and the other way round."""
 
     limit_bytes = 0xFFFF  # longest message
+    is_serial = False  # the bytes come from a line with a baud rate
 
     def __init__(self) -> None:
         self.skipped: list[bytes] = []  # bytes in no message since the last `feed`
@@ -112,6 +113,8 @@ class LengthFraming(Framing):
 
 class SerialFraming(Framing):
     """Frames with escapes and a checksum, on a serial line. A 7E interrupts the frame before it, which is skipped."""
+
+    is_serial = True
 
     def __init__(self) -> None:
         super().__init__()
@@ -177,10 +180,19 @@ class SerialFraming(Framing):
 
     def encode(self, message: bytes) -> bytes:
         """Return a frame from the host to the device."""
-        head = bytes((_HOST, _DEVICE)) + len(message).to_bytes(2, "little")
-        content = head + message + crc16(message).to_bytes(_CRC_BYTES, "little")
-        escaped = content.replace(_ESCAPE, bytes((ESCAPE, ESCAPE ^ FLIP)))
-        return _BEGIN + escaped.replace(_BEGIN, bytes((ESCAPE, BEGIN ^ FLIP)))
+        return _frame(_HOST, _DEVICE, message)
+
+
+def device_frame(message: bytes) -> bytes:
+    """Return a frame from a device to the host, on a serial line."""
+    return _frame(_DEVICE, _HOST, message)
+
+
+def _frame(source: int, destination: int, message: bytes) -> bytes:
+    head = bytes((source, destination)) + len(message).to_bytes(2, "little")
+    content = head + message + crc16(message).to_bytes(_CRC_BYTES, "little")
+    escaped = content.replace(_ESCAPE, bytes((ESCAPE, ESCAPE ^ FLIP)))
+    return _BEGIN + escaped.replace(_BEGIN, bytes((ESCAPE, BEGIN ^ FLIP)))
 
 
 def _raw_end(chunk: bytes, count: int) -> int:
