@@ -53,8 +53,8 @@ def crc16(data: bytes) -> int:
 class Framing(ABC):
     """Framing of one connection: bytes in, whole messages out, and the other way round."""
 
+    transport = ""  # on which it is used: "udp", "tcp" or "serial"
     limit_bytes = 0xFFFF  # longest message
-    is_serial = False  # the bytes come from a line with a baud rate
 
     def __init__(self) -> None:
         self.skipped: list[bytes] = []  # bytes in no message since the last `feed`
@@ -77,6 +77,7 @@ class Framing(ABC):
 class DatagramFraming(Framing):
     """One message in each datagram."""
 
+    transport = "udp"
     limit_bytes = 65507  # of UDP
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -89,6 +90,8 @@ class DatagramFraming(Framing):
 
 class LengthFraming(Framing):
     """The length of each message in front of it, on TCP. Nothing can be damaged there, and nothing is found again."""
+
+    transport = "tcp"
 
     def __init__(self) -> None:
         super().__init__()
@@ -114,7 +117,7 @@ class LengthFraming(Framing):
 class SerialFraming(Framing):
     """Frames with escapes and a checksum, on a serial line. A 7E interrupts the frame before it, which is skipped."""
 
-    is_serial = True
+    transport = "serial"
 
     def __init__(self) -> None:
         super().__init__()

@@ -320,7 +320,7 @@ class XrceSession(DeviceSession):
         """Rules of micro-ROS, with what is known now."""
         slowest = max(self._clients.values(), key=_measured_s, default=None)
         facts = Facts(
-            is_serial=self._framing.is_serial,
+            is_serial=self._framing.transport == "serial",
             clients=len(self._clients),
             resumed=self.quality.resumed,
             pings=self.quality.pings,
