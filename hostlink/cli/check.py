@@ -62,8 +62,8 @@ def fitted(config: Config, descriptors: int) -> Config:
             "ulimit -n", f"{descriptors} descriptors are too few; allow at least {FEWEST + len(config.serial)}"
         )
     room = descriptors - OWN - len(config.serial)
-    datagrams = 0 if config.udp is None else config.udp.max_connections
-    devices, programs = config.tcp.max_connections + datagrams, config.api.max_connections
+    others = {name: part.max_connections for name, part in _other_ports(config).items()}
+    devices, programs = config.tcp.max_connections + sum(others.values()), config.api.max_connections
     nodes = config.ros1.max_connections * NODE_SHARES if config.ros1.master else 0
     if devices + programs + nodes <= room:
         return config
@@ -71,16 +71,32 @@ def fitted(config: Config, descriptors: int) -> Config:
         nodes = min(room * nodes // (devices + programs + nodes), room - (FEWEST - OWN))
         ros1 = dataclasses.replace(config.ros1, max_connections=max(1, nodes // NODE_SHARES))
         config, room = dataclasses.replace(config, ros1=ros1), room - nodes
-    kept = FEWEST_DEVICES * (2 if datagrams else 1)
+    kept = FEWEST_DEVICES * (1 + len(others))
     programs = min(max(KEPT_FOR_REQUESTS + 1, room * programs // (devices + programs)), programs, room - kept)
     room -= programs
-    datagrams = min(max(FEWEST_DEVICES, room * datagrams // devices), datagrams, room - FEWEST_DEVICES)
+    left = room
+    for number, (name, most) in enumerate(others.items(), 1):
+        kept = FEWEST_DEVICES * (1 + len(others) - number)
+        others[name] = min(max(FEWEST_DEVICES, room * most // devices), most, left - kept)
+        left -= others[name]
+    udp, boards = config.udp, config.micro_ros
     return dataclasses.replace(
         config,
-        tcp=dataclasses.replace(config.tcp, max_connections=min(config.tcp.max_connections, room - datagrams)),
-        udp=None if config.udp is None else dataclasses.replace(config.udp, max_connections=datagrams),
+        tcp=dataclasses.replace(config.tcp, max_connections=min(config.tcp.max_connections, left)),
+        udp=udp and dataclasses.replace(udp, max_connections=others["udp"]),
+        micro_ros=dataclasses.replace(
+            boards,
+            udp=boards.udp and dataclasses.replace(boards.udp, max_connections=others["micro_ros.udp"]),
+            tcp=boards.tcp and dataclasses.replace(boards.tcp, max_connections=others["micro_ros.tcp"]),
+        ),
         api=dataclasses.replace(config.api, max_connections=programs),
     )
+
+
+def _other_ports(config: Config) -> dict[str, TcpConfig | UdpConfig]:
+    """Return the settings of every port for devices but the first, by their name in the file."""
+    found = {"udp": config.udp, "micro_ros.udp": config.micro_ros.udp, "micro_ros.tcp": config.micro_ros.tcp}
+    return {name: part for name, part in found.items() if part is not None}
 
 
 # -- checks -----------------------------------------------------------------------------------------------------------
@@ -111,9 +127,13 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     tls_context(config.api)
     warnings = [] if is_listening else await _try_port("tcp", config.tcp.host, config.tcp.port)
     warnings += await _try_port("api", config.api.host, config.api.port)
-    if config.udp is not None:
-        UdpAcceptor(hub, config.udp)
-        warnings += await _try_datagrams(config.udp)
+    for name, part in _other_ports(config).items():
+        if isinstance(part, UdpConfig):
+            UdpAcceptor(hub, part)
+            warnings += await _try_datagrams(name, part)
+        else:
+            TcpAcceptor(hub, part)
+            warnings += await _try_port(name, part.host, part.port)
     for name, kind, settings in chosen_components(config):
         warnings += [f"{name}: {each}" for each in kind(settings).check()]
     fits = fitted(config, descriptors)
@@ -134,6 +154,10 @@ def describe(config: Config) -> list[str]:
         believed = f"; {', '.join((*udp.trusted, *udp.devices))} trusted" if udp.trusted or udp.devices else ""
         where = spelled(udp.host, udp.port)
         lines.append(f"devices on UDP {where}, from {_describe_who(udp)}, at most {udp.max_connections}{believed}")
+    for name, part in (("UDP", config.micro_ros.udp), ("TCP", config.micro_ros.tcp)):
+        if part is not None:
+            where, most = spelled(part.host, part.port), part.max_connections
+            lines.append(f"micro-ROS boards on {name} {where}, from {_describe_who(part)}, at most {most}")
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
     lines.append(f"programs on {'http' if api.certificate is None else 'https'}://{spelled(api.host, api.port)}")
     if config.ros1.master:
@@ -162,7 +186,7 @@ def _describe_port(port: SerialConfig) -> str:
 
 def _check_values(config: Config) -> None:
     ports = {"tcp.port": config.tcp.port, "api.port": config.api.port}
-    ports |= {} if config.udp is None else {"udp.port": config.udp.port}
+    ports |= {f"{name}.port": part.port for name, part in _other_ports(config).items()}
     ports |= {"ros1.port": config.ros1.port, "ros1.tcpros_port": config.ros1.tcpros_port}
     for where, port in ports.items():
         if not 0 <= port <= MAX_PORT:
@@ -208,13 +232,13 @@ async def _try_port(part: str, host: str, port: int) -> list[str]:
     return []
 
 
-async def _try_datagrams(config: UdpConfig) -> list[str]:
+async def _try_datagrams(part: str, config: UdpConfig) -> list[str]:
     try:
         async with serve_udp(config, Counter(), lambda _port, _datagram: False):
             return []
     except ConfigError as error:
         if isinstance(error.__cause__, OSError) and error.__cause__.errno == errno.EADDRINUSE:
-            return [f"udp.port {config.port} is in use at this moment"]
+            return [f"{part}.port {config.port} is in use at this moment"]
         raise
 
 

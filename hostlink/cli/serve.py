@@ -45,6 +45,7 @@ class Addresses:
     tcp: tuple[str, int]
     api: str
     udp: tuple[str, int] | None = None
+    micro_ros: tuple[str, ...] = ()
 
 
 @contextlib.asynccontextmanager
@@ -87,9 +88,10 @@ async def running(
         udp = {} if devices.udp is None else {"udp": spelled(*devices.udp)}
         loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
         ports = {"serial": list(devices.serial), "missing": list(devices.missing)} if config.serial else {}
-        log.info("daemon.started", tcp=spelled(*devices.tcp), api=api, loop=loop, **udp, **ports)
+        boards = {"micro_ros": list(devices.micro_ros)} if devices.micro_ros else {}
+        log.info("daemon.started", tcp=spelled(*devices.tcp), api=api, loop=loop, **udp, **boards, **ports)
         try:
-            yield hub, Addresses(devices.tcp, api, devices.udp)
+            yield hub, Addresses(devices.tcp, api, devices.udp, devices.micro_ros)
         except Exception as error:
             log.exception("daemon.failed", cause=repr(error))
             raise

@@ -20,7 +20,16 @@ from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.settings import load
 from hostlink.cli.start import import_fast
-from hostlink.core.config import ApiConfig, Config, Ros1Config, TcpConfig, UdpConfig
+from hostlink.core.config import (
+    ApiConfig,
+    Config,
+    MicroRosConfig,
+    MicroRosTcpConfig,
+    MicroRosUdpConfig,
+    Ros1Config,
+    TcpConfig,
+    UdpConfig,
+)
 from hostlink.core.runtime.listening import listen as listen_at
 from hostlink.errors import ConfigError, LibraryMissing
 
@@ -64,6 +73,12 @@ def command(
     serial: Annotated[
         list[str] | None, typer.Option(help="Serial port with a device: /dev/ttyACM0@57600. May be repeated.")
     ] = None,
+    micro_ros: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="URL", help="Serve micro-ROS boards, at udp://0.0.0.0:8888 or tcp://0.0.0.0:8888. May be repeated."
+        ),
+    ] = None,
     api: ApiAddress = None,
     origin: Origins = None,
     messages: MessageFolders = None,
@@ -104,7 +119,13 @@ def command(
 
     def read() -> Config:
         settings = merge(
-            load(file) if file else Config(), listen=listen, udp=udp, serial=serial, api=api, messages=messages
+            load(file) if file else Config(),
+            listen=listen,
+            udp=udp,
+            serial=serial,
+            micro_ros=micro_ros,
+            api=api,
+            messages=messages,
         )
         settings = allow_origins(settings, origin)
         if zenoh:
@@ -191,6 +212,7 @@ def merge(
     listen: str | None = None,
     udp: str | None = None,
     serial: list[str] | None = None,
+    micro_ros: list[str] | None = None,
     api: str | None = None,
     messages: list[Path] | None = None,
 ) -> Config:
@@ -206,11 +228,32 @@ def merge(
         wanted = UdpConfig() if config.udp is None else config.udp
         host, port = parse_address("--udp", udp, wanted.host)
         config = dataclasses.replace(config, udp=dataclasses.replace(wanted, host=host, port=port))
+    for url in micro_ros or ():
+        config = dataclasses.replace(config, micro_ros=_with_port(config.micro_ros, url))
     if api is not None:
         host, port = parse_address("--api", api, config.api.host)
         config = dataclasses.replace(config, api=dataclasses.replace(config.api, host=host, port=port))
     ports = config.serial + tuple(parse_serial(text) for text in serial or ())
     return dataclasses.replace(config, serial=ports, message_folders=config.message_folders + tuple(messages or ()))
+
+
+def _with_port(config: MicroRosConfig, url: str) -> MicroRosConfig:
+    """Return the settings with a port for micro-ROS boards.
+
+    Raises:
+        ConfigError: the text is not an address such as udp://0.0.0.0:8888.
+    """
+    scheme, _, address = url.partition("://")
+    if scheme == "udp":
+        udp = MicroRosUdpConfig() if config.udp is None else config.udp
+        host, port = parse_address("--micro-ros", address, udp.host)
+        return dataclasses.replace(config, udp=dataclasses.replace(udp, host=host, port=port))
+    if scheme == "tcp":
+        tcp = MicroRosTcpConfig() if config.tcp is None else config.tcp
+        host, port = parse_address("--micro-ros", address, tcp.host)
+        return dataclasses.replace(config, tcp=dataclasses.replace(tcp, host=host, port=port))
+    step = "a serial port is --serial /dev/ttyUSB0@115200; an example of this option: udp://0.0.0.0:8888"
+    raise ConfigError("--micro-ros", f"{url!r} is not udp://HOST:PORT or tcp://HOST:PORT; {step}")
 
 
 # -- sentences on a terminal ------------------------------------------------------------------------------------------
@@ -229,8 +272,9 @@ class Sentences:
                 url = event["api"]
                 self._option = "" if url == f"http://127.0.0.1:{ApiConfig().port}" else f" --url {url}"
                 udp = f", over UDP to {event['udp']}" if "udp" in event else ""
+                micro_ros = _listed(event, ", those of micro-ROS to ", "micro_ros")
                 serial, missing = _listed(event, ", and are at ", "serial"), _listed(event, "; waiting for ", "missing")
-                boards = f"boards connect to {event['tcp']}{udp}{serial}{missing}"
+                boards = f"boards connect to {event['tcp']}{udp}{micro_ros}{serial}{missing}"
                 return f"hostlink runs: {url}  (open it in a browser)\n{boards}; Ctrl-C ends hostlink"
             case "serial.waiting":
                 reason = str(event["reason"]).removeprefix(f"{event['port']}: ")

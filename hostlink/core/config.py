@@ -84,6 +84,55 @@ class UdpConfig:
         return [_device_address(text) for text in self.devices]
 
 
+MICRO_ROS = "micro-ros"  # as a protocol in settings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MicroRosUdpConfig(UdpConfig):
+    """UDP port for micro-ROS boards. They know no key."""
+
+    host: str = "127.0.0.1"  # closed to the network until another address is configured: boards prove nothing
+    port: int = 8888  # of the micro-ROS agent
+    trusted: tuple[str, ...] = ("127.0.0.0/8", "::1/128")  # the system lets no such source address in
+    protocol: str = MICRO_ROS
+
+    def __post_init__(self) -> None:
+        UdpConfig.__post_init__(self)  # a class with slots has no `super()`
+        if self.devices:
+            raise ValueError("a micro-ROS board begins by itself: remove devices")
+        _refuse_key(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MicroRosTcpConfig(TcpConfig):
+    """TCP port for micro-ROS boards."""
+
+    host: str = "127.0.0.1"
+    port: int = 8888
+    protocol: str = MICRO_ROS
+
+    def __post_init__(self) -> None:
+        TcpConfig.__post_init__(self)
+        if self.mdns:
+            raise ValueError("only the port of rosserial devices can be advertised: remove mdns")
+        _refuse_key(self)
+
+
+def _refuse_key(config: TcpConfig | UdpConfig) -> None:
+    """Refuse settings of keys, which the protocol does not have."""
+    if config.key_file is not None or config.keyless:
+        raise ValueError("a micro-ROS board cannot prove a key: remove key_file and keyless, and use allow")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MicroRosConfig:
+    """Ports for micro-ROS boards, besides serial ports."""
+
+    udp: MicroRosUdpConfig | None = None  # None: no port
+    tcp: MicroRosTcpConfig | None = None
+    velocity_stream: Literal[0, 1] = 0  # 1: for clients that refuse messages without a number
+
+
 _RATE_IN_PATH = re.compile(r"(.+):(\d{3,9})")  # "/dev/ttyUSB0:115200"; a name in by-path ends with ":1.0-port0"
 
 
@@ -577,6 +626,7 @@ class Config:
 
     tcp: TcpConfig = field(default_factory=TcpConfig)
     udp: UdpConfig | None = None  # None: no UDP port
+    micro_ros: MicroRosConfig = field(default_factory=MicroRosConfig)
     serial: tuple[SerialConfig, ...] = ()
     link: LinkConfig = field(default_factory=LinkConfig)
     api: ApiConfig = field(default_factory=ApiConfig)

@@ -10,7 +10,7 @@ from socket import socket
 from time import thread_time
 
 from hostlink.core.components import Make, chosen_components, hosted, supervise
-from hostlink.core.config import Config, UdpConfig
+from hostlink.core.config import Config, MicroRosConfig, UdpConfig
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.host import Host
 from hostlink.core.hub.gates import Guard
@@ -21,6 +21,7 @@ from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_se
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.runtime.cancellation import first_error, meanwhile
 from hostlink.core.runtime.detached import DetachedThread
+from hostlink.core.runtime.listening import spelled
 from hostlink.core.transport.tcp import serve_tcp
 from hostlink.core.transport.udp import serve_udp
 
@@ -36,6 +37,7 @@ class Addresses:
 
     tcp: tuple[str, int]
     udp: tuple[str, int] | None = None
+    micro_ros: tuple[str, ...] = ()  # for micro-ROS boards: "udp://127.0.0.1:8888"
     serial: tuple[str, ...] = ()  # open ports
     missing: tuple[str, ...] = ()  # ports that are waited for
 
@@ -122,6 +124,7 @@ async def _listening(
     async with (
         serve_tcp(config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, listening=listening) as listener,
         _datagrams(hub, config.udp) as udp,
+        _micro_ros(hub, config.micro_ros) as micro_ros,
         meanwhile(
             *(
                 (port.name, serve_serial(hub, port, on_tried=event.set))
@@ -130,11 +133,11 @@ async def _listening(
         ),
     ):
         on_listening()
-        hub.listening = Listening(listener.address, udp)
+        hub.listening = Listening(listener.address, udp, micro_ros)
         await _all_set(tried)
         missing = tuple(port.name for port in config.serial if port.name in hub.diagnoses.ports)
         serial = tuple(port.name for port in config.serial if port.name not in missing)
-        yield Addresses(listener.address, udp, serial, missing)
+        yield Addresses(listener.address, udp, micro_ros, serial, missing)
 
 
 async def _all_set(events: Sequence[asyncio.Event]) -> None:
@@ -146,14 +149,34 @@ async def _all_set(events: Sequence[asyncio.Event]) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[str, int] | None]:
+async def _micro_ros(hub: Hub, config: MicroRosConfig) -> AsyncIterator[tuple[str, ...]]:
+    """Open the ports for micro-ROS boards that are configured. Return their addresses."""
+    found: list[str] = []
+    async with contextlib.AsyncExitStack() as ports:
+        udp = await ports.enter_async_context(_datagrams(hub, config.udp, "--micro-ros udp://"))
+        if udp is not None:
+            found.append(f"udp://{spelled(*udp)}")
+        if config.tcp is not None:
+            acceptor = TcpAcceptor(hub, config.tcp)
+            serving = serve_tcp(
+                config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, option="--micro-ros tcp://"
+            )
+            listener = await ports.enter_async_context(serving)
+            found.append(f"tcp://{spelled(*listener.address)}")
+        yield tuple(found)
+
+
+@contextlib.asynccontextmanager
+async def _datagrams(
+    hub: Hub, config: UdpConfig | None, option: str = "--udp"
+) -> AsyncIterator[tuple[str, int] | None]:
     """Open the UDP port for devices, if one is configured."""
     if config is None:
         yield None
         return
     acceptor = UdpAcceptor(hub, config)
     async with (
-        serve_udp(config, hub.counts.datagrams_dropped, acceptor.receive) as ports,
+        serve_udp(config, hub.counts.datagrams_dropped, acceptor.receive, option) as ports,
         meanwhile(("invitations over UDP", acceptor.invite(ports))),
     ):
         yield ports[0].address[:2]

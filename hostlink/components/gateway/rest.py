@@ -102,11 +102,13 @@ class SerialPortView(TypedDict):
 class ListeningView(TypedDict):
     """Addresses that devices connect to. simulate: command that starts a simulated robot here; null: refused.
 
+    micro_ros: addresses for micro-ROS boards, such as udp://192.168.4.1:8888.
     address: of this computer in its network; null: it is in none.
     """
 
     tcp: AddressView | None
     udp: AddressView | None
+    micro_ros: list[str]
     serial: list[SerialPortView]
     simulate: str | None
     address: str | None
@@ -123,6 +125,7 @@ def listening_text(listening: Listening, config: Config) -> str:
     """Describe where devices connect: `listening on TCP 0.0.0.0:11411, /dev/ttyACM0`."""
     addresses = (("TCP", listening.tcp), ("UDP", listening.udp))
     places = [f"{name} {spelled(*address)}" for name, address in addresses if address is not None]
+    places += [f"{each} for micro-ROS" for each in listening.micro_ros]
     places += [port.name for port in config.serial]
     return f"listening on {', '.join(places)}" if places else "listening on no port"
 
@@ -132,6 +135,7 @@ def listening_view(listening: Listening, config: Config, address: str | None = N
     return {
         "tcp": _address(listening.tcp),
         "udp": _address(listening.udp),
+        "micro_ros": list(listening.micro_ros),
         "serial": [{"port": port.name, "bauds": list(port.bauds)} for port in config.serial],
         "simulate": _simulate(listening.tcp, config.tcp) or _simulate(listening.udp, config.udp, " --udp"),
         "address": address,

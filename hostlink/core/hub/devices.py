@@ -30,7 +30,7 @@ class Capture(NamedTuple):
     """Raw bytes that passed on a connection after a position, in order of time. Times are since its start."""
 
     number: int  # of the connection
-    protocol: str  # which the device speaks
+    protocol: str  # which the device speaks, as `find_protocol` finds it
     pieces: tuple[CapturedPiece, ...]
     position: tuple[int, int]  # bytes from the device and to it at the end of the capture
     lost: tuple[int, int]  # bytes after the requested position that are no longer kept
@@ -113,7 +113,7 @@ class Devices:
         captured, link = found.captured(since), found.link
         return Capture(
             link.number,
-            link.session.protocol,
+            link.session.captured_as,
             captured.pieces,
             captured.position,
             captured.lost,

@@ -35,6 +35,7 @@ class Listening:
 
     tcp: tuple[str, int] | None = None
     udp: tuple[str, int] | None = None
+    micro_ros: tuple[str, ...] = ()  # for micro-ROS boards: "udp://127.0.0.1:8888"
 
 
 STOP_REPEATS = 3  # a single stop can be lost on a radio

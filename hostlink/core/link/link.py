@@ -303,6 +303,9 @@ class Link:
         self._from_device.add(data, now_s)
         was_steady = session.is_steady
         found = session.receive(data, now_s=now_s)
+        if found and (session.outbox.answers or session.outbox.is_time_due):  # some devices wait for 10 ms only
+            self._pauses(now_s)
+            self._write_frames(now_s)
         self._dispatch(found, now_s, is_timer_right=was_steady and session.is_steady)
         ended_s = self._turns.end(now_s)
         self._piece.update(ended_s - now_s)

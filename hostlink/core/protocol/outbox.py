@@ -63,9 +63,9 @@ class Outbox:
     """
 
     __slots__ = (
-        "_answers", "_busy_until_s", "_commands", "_control_bytes", "_encode", "_is_request_due", "_is_stop_due",
-        "_loop_bytes", "_new", "_replies", "_time_bytes", "_uart_bytes_s", "_urgent", "control", "is_stopped",
-        "is_time_due", "prompt_bytes", "replaced", "robot_moves", "slowest_wait_s",
+        "_busy_until_s", "_commands", "_control_bytes", "_encode", "_is_request_due", "_is_stop_due",
+        "_loop_bytes", "_new", "_replies", "_time_bytes", "_uart_bytes_s", "_urgent", "answers", "control",
+        "is_stopped", "is_time_due", "prompt_bytes", "replaced", "robot_moves", "slowest_wait_s",
     )  # fmt: skip
 
     def __init__(
@@ -92,7 +92,7 @@ class Outbox:
         self.is_stopped = False  # only queued urgent commands and the stop are still sent
         self.is_time_due = self._is_request_due = self._is_stop_due = False
         self._urgent: _Queues = {}
-        self._answers: _Queues = {}
+        self.answers: _Queues = {}  # of the protocol itself, for which a device may wait
         self._replies: _Queues = {}
         self._commands: _Queues = {}
         self._new: list[_QueuedFrame] = []  # frames whose age is not counted yet
@@ -102,7 +102,7 @@ class Outbox:
         """Whether any frame is queued."""
         return bool(
             self.is_time_due or self._is_request_due or self._is_stop_due
-            or self._urgent or self._answers or self._replies or self._commands
+            or self._urgent or self.answers or self._replies or self._commands
         )  # fmt: skip
 
     @property
@@ -145,7 +145,7 @@ class Outbox:
 
     def put_answer(self, key: Hashable, frame: bytes, *, depth: int) -> None:
         """Queue a frame of the protocol itself, such as an acknowledgement. The newest `depth` of a key wait."""
-        waiting = self._answers.setdefault(key, deque())
+        waiting = self.answers.setdefault(key, deque())
         while len(waiting) >= depth:
             waiting.popleft()
         new = _QueuedFrame(frame, is_awaited=True)
@@ -258,7 +258,7 @@ class Outbox:
 
     def oldest_s(self, now_s: float) -> float:
         """Age of the oldest queued frame in seconds; 0 when the queues are empty."""
-        queues = (self._urgent, self._answers, self._replies, self._commands)
+        queues = (self._urgent, self.answers, self._replies, self._commands)
         every = [waiting for each in queues for waiting in each.values()]
         return max((0.0, *(now_s - one.since_s for waiting in every for one in waiting)))
 
@@ -280,7 +280,7 @@ class Outbox:
 
     def _head(self) -> tuple[_Queues, Hashable] | None:
         """Find the queue and key of the next frame."""
-        waiting_queues = (self._urgent, self._answers, self._replies, self._commands)
+        waiting_queues = (self._urgent, self.answers, self._replies, self._commands)
         for queues in waiting_queues[:1] if self.is_stopped else waiting_queues:
             for key, waiting in queues.items():
                 if queues is self._urgent or not self._is_delayed(waiting[0]):

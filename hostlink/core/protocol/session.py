@@ -89,6 +89,11 @@ class DeviceSession(ABC):
         return outgoing
 
     @property
+    def captured_as(self) -> str:
+        """Name by which the protocol of a capture is found again."""
+        return self.protocol
+
+    @property
     def bad_checksums(self) -> int:
         """Number of rejected frame starts with a wrong checksum."""
         return 0
@@ -284,3 +289,7 @@ class DeviceProtocol(ABC):
     @abstractmethod
     def is_greeting(self, data: bytes) -> bool:
         """Whether a datagram of an unknown sender is of this protocol."""
+
+    def answer_ping(self, data: bytes) -> bytes:  # noqa: ARG002 - for protocols with a question that needs no session
+        """Return the answer to a datagram that asks only whether a host is there; empty: it asks something else."""
+        return b""

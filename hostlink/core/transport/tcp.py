@@ -197,11 +197,12 @@ async def serve_tcp(
     *,
     on_exhausted: Callable[[], None],
     listening: Sequence[socket.socket] = (),
+    option: str = "--listen",
 ) -> AsyncIterator[Listener]:
     """Accept devices until the block is left. Links end after the listener.
 
     `on_exhausted` is called at each try to accept without a free descriptor. `listening`: sockets from
-    `hostlink.core.runtime.listening` that listen already.
+    `hostlink.core.runtime.listening` that listen already. `option`: as in `explain`.
 
     Raises:
         ConfigError: the address cannot be listened on.
@@ -223,7 +224,7 @@ async def serve_tcp(
     try:
         sockets = list(listening) or await bind(config.host, config.port)
     except (OSError, OverflowError, UnicodeError) as error:
-        raise ConfigError(f"TCP {spelled(config.host, config.port)}", explain(error, "--listen")) from error
+        raise ConfigError(f"TCP {spelled(config.host, config.port)}", explain(error, option)) from error
     address = sockets[0].getsockname()[:2]
     async with asyncio.TaskGroup() as tasks:
         acceptor = Acceptor(sockets, accepted, on_exhausted=on_exhausted)
@@ -234,13 +235,15 @@ async def serve_tcp(
 
 
 def explain(error: OSError | OverflowError | UnicodeError, option: str) -> str:
-    """Explain why an address cannot be listened on. `option` is the flag that chooses another."""
+    """Explain why an address cannot be listened on. `option` is the flag that chooses another, `--micro-ros udp://`."""
+    other = f"{option}HOST:PORT" if option.endswith("/") else f"{option} HOST:PORT"
     if isinstance(error, UnicodeError):
-        return f"{why(error)}; choose another with {option} HOST:PORT"
+        return f"{why(error)}; choose another with {other}"
     if isinstance(error, OverflowError):
         return why(error)
     if error.errno == errno.EADDRINUSE:
-        return f"is in use, probably by another rosserial host; stop it, or choose another port with {option} HOST:PORT"
+        owner = "a micro-ROS agent" if option.startswith("--micro-ros") else "another rosserial host"
+        return f"is in use, probably by {owner}; stop it, or choose another port with {other}"
     return f"cannot be listened on: {why(error)}"
 
 

@@ -32,9 +32,10 @@ class Allowance:
     The limit prevents that a forged source address is used to flood a third host.
     """
 
-    def __init__(self, *, is_limited: bool) -> None:
+    def __init__(self, *, is_limited: bool, credit_bytes: int = 0) -> None:
+        """`credit_bytes` may be sent beyond what came."""
         self.is_limited = is_limited
-        self._payload_bytes = self._wire_bytes = 0
+        self._payload_bytes = self._wire_bytes = credit_bytes
 
     def earn(self, size_bytes: int) -> None:
         """Add a received datagram to the allowance."""
@@ -61,7 +62,8 @@ RECEIVE_BUFFER_BYTES = 65536  # of one socket, in the kernel; datagrams above it
 NEW_DATAGRAMS_A_TURN = 16  # without a session; together they cost a tenth of a millisecond
 _IP_PKTINFO = 8  # Linux value; Python has no constant for it
 _ANCILLARY_BYTES = socket.CMSG_SPACE(20)  # size of in6_pktinfo, the longer one
-_INTO = bytearray(READ_BYTES + 1)  # shared by all sockets: data is copied out before the next one reads
+LONGEST_BYTES = 65507  # payload of a datagram
+_INTO = bytearray(LONGEST_BYTES + 1)  # shared by all sockets: data is copied out before the next one reads
 _VIEW = memoryview(_INTO)
 
 Address = tuple[Any, ...]  # as in the socket module: host and port, for IPv6 also flow info and scope
@@ -75,15 +77,17 @@ class Datagram(NamedTuple):
     local: Address
 
 
-def receive_from(from_socket: socket.socket, dropped: Counter[str]) -> tuple[bytes, Address] | None:
-    """Receive the next datagram and its source; None if it is empty or larger than READ_BYTES.
+def receive_from(
+    from_socket: socket.socket, dropped: Counter[str], limit_bytes: int = READ_BYTES
+) -> tuple[bytes, Address] | None:
+    """Receive the next datagram and its source; None if it is empty or larger than the limit.
 
     Raises:
         BlockingIOError: no datagram is waiting.
         OSError: an ICMP error was received.
     """
     size, source = from_socket.recvfrom_into(_INTO)
-    if size > READ_BYTES:
+    if size > limit_bytes:
         dropped["too_large"] += 1
         return None
     return (bytes(_VIEW[:size]), source) if size else None
@@ -163,9 +167,9 @@ def local_address(ancillary: list[tuple[int, int, bytes]], bound: Address) -> Ad
 
 @contextlib.asynccontextmanager
 async def serve_udp(
-    config: UdpConfig, dropped: Counter[str], on_datagram: Callable[[UdpPort, Datagram], bool]
+    config: UdpConfig, dropped: Counter[str], on_datagram: Callable[[UdpPort, Datagram], bool], option: str = "--udp"
 ) -> AsyncIterator[list[UdpPort]]:
-    """Receive until the block is left, on one port for each address of the host name.
+    """Receive until the block is left, on one port for each address of the host name. `option`: as in `explain`.
 
     Raises:
         ConfigError: the address cannot be used.
@@ -181,7 +185,7 @@ async def serve_udp(
         except UnicodeError as error:
             raise ConfigError(f"UDP {spelled(config.host, config.port)}", "is not a valid host name") from error
         except (OSError, OverflowError) as error:
-            raise ConfigError(f"UDP {spelled(config.host, config.port)}", explain(error, "--udp")) from error
+            raise ConfigError(f"UDP {spelled(config.host, config.port)}", explain(error, option)) from error
         yield ports
     finally:
         for port in ports:
@@ -221,6 +225,10 @@ MAX_DATAGRAM_BYTES = 1452  # to a device: passes Ethernet and WiFi unfragmented,
 DATAGRAMS_A_TURN = 4  # per device and turn of the loop: a robot sends tens a second
 PATIENCE_S = 1.0  # wait for room in the kernel: a command that waited longer is expired
 _RESERVE = bytes(56)  # size of a velocity: the next frame is chosen when this much may be sent
+# A protocol that answers each datagram with two short ones, while its device introduces itself, needs some bytes more
+# than it gets. With OPENED_A_SECOND of the acceptor it is 20 kB/s to forged addresses.
+CREDIT_BYTES = 1024
+_ANSWER = bytes(16)  # the same of a protocol whose devices wait for an answer, which is shorter than what they ask
 
 
 class UdpTransport:
@@ -251,11 +259,13 @@ class UdpTransport:
         self.peer = spelled(*first.source[:2])
         self.address: str = first.source[0]
         self._socket, self._first = connection, first
-        self._allowance = Allowance(is_limited=not is_verified)
+        self._allowance = Allowance(is_limited=not is_verified, credit_bytes=CREDIT_BYTES if keeps_datagrams else 0)
         self._dropped, self._on_other, self._on_limited = dropped, on_other, on_limited
         self._on_readable: Callable[[], None] = ignore
         self._received = bytearray()
         self._lengths: deque[int] | None = deque() if keeps_datagrams else None  # of the datagrams in `_received`
+        self._limit_bytes = LONGEST_BYTES if keeps_datagrams else READ_BYTES
+        self._reserve = _ANSWER if keeps_datagrams else _RESERVE
         self._unsent: list[bytes] = []
         self.is_behind = False  # whether the kernel may have more datagrams
         self._is_reading = self._is_closed = False
@@ -341,7 +351,7 @@ class UdpTransport:
         self.is_behind = True
         for _ in range(DATAGRAMS_A_TURN):
             try:
-                found = receive_from(self._socket, self._dropped)
+                found = receive_from(self._socket, self._dropped, self._limit_bytes)
             except BlockingIOError:
                 self.is_behind = False
                 break
@@ -382,13 +392,15 @@ class UdpTransport:
     # -- to the device ------------------------------------------------------------------------------------------------
 
     def write(self, data: bytes) -> bool:
-        """Send a frame as one datagram, or as several if it exceeds MAX_DATAGRAM_BYTES.
+        """Send a frame as one datagram, or as several if it exceeds MAX_DATAGRAM_BYTES and is part of a stream.
 
         A frame that may not be sent is dropped. If it were kept, it could move the robot after a later stop.
         """
         if self.is_ended:
             return False
-        datagrams = [data[at : at + MAX_DATAGRAM_BYTES] for at in range(0, len(data), MAX_DATAGRAM_BYTES)]
+        datagrams = [data]
+        if self._lengths is None:
+            datagrams = [data[at : at + MAX_DATAGRAM_BYTES] for at in range(0, len(data), MAX_DATAGRAM_BYTES)]
         if self._allowance.allows(datagrams):
             self._unsent = datagrams
         else:
@@ -415,7 +427,7 @@ class UdpTransport:
 
     @property
     def _has_reserve(self) -> bool:
-        return self._allowance.allows((_RESERVE,))
+        return self._allowance.allows((self._reserve,))
 
     def _give_up(self) -> None:
         self._unsent.clear()

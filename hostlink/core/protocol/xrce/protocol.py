@@ -23,6 +23,12 @@ class Xrce(DeviceProtocol):
         self.keeps_datagrams = keeps_datagrams
         self._framing, self._velocity_stream = framing, velocity_stream
 
+    @classmethod
+    def on(cls, transport: str, *, velocity_stream: int = NO_STREAM) -> "Xrce":
+        """Return the protocol on a transport, as Framing.transport names it; on UDP if it is not known."""
+        framing = next((each for each in FRAMINGS if each.transport == transport), DatagramFraming)
+        return cls(framing, keeps_datagrams=framing is DatagramFraming, velocity_stream=velocity_stream)
+
     def session(
         self,
         catalog: Catalog,
@@ -58,6 +64,5 @@ class Xrce(DeviceProtocol):
         return b"".join(framing.encode(each) for each in answers if each is not None)
 
 
-MICRO_ROS_UDP = Xrce(DatagramFraming, keeps_datagrams=True)
-MICRO_ROS_TCP = Xrce(LengthFraming)
-MICRO_ROS_SERIAL = Xrce(SerialFraming)
+FRAMINGS: tuple[type[Framing], ...] = (DatagramFraming, LengthFraming, SerialFraming)
+MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL = (Xrce.on(each.transport) for each in FRAMINGS)

@@ -268,6 +268,11 @@ class XrceSession(DeviceSession):
         return super().pop_frame(now_s=now_s, wall_ns=wall_ns)
 
     @property
+    def captured_as(self) -> str:
+        """Name by which the protocol of a capture is found again: with the transport, which has its own framing."""
+        return f"{NAME}/{self._framing.transport}"
+
+    @property
     def bad_checksums(self) -> int:
         """Number of serial frames with a wrong checksum."""
         return self._framing.bad_checksums

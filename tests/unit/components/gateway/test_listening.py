@@ -53,6 +53,7 @@ def test_listening_view_names_serial_ports_with_their_rates() -> None:
     assert view == {
         "tcp": None,
         "udp": None,
+        "micro_ros": [],
         "serial": [{"port": "/dev/ttyACM0", "bauds": [57600]}, {"port": "A1", "bauds": [57600, 115200]}],
         "simulate": None,
         "address": None,

@@ -5,8 +5,10 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
+from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.registry import GROUP, find_protocol
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.core.protocol.xrce.framing import DatagramFraming, LengthFraming, SerialFraming
 from hostlink.errors import ConfigError
 from tests.support.text_protocol import TEXT
 
@@ -27,10 +29,22 @@ def test_protocol_is_found_by_its_name() -> None:
     assert find_protocol("text") is TEXT
 
 
+def test_micro_ros_has_the_framing_of_its_transport_also_in_a_capture() -> None:
+    ping = bytes.fromhex("80000000 02010800 000AFFFD 02000000")
+    for framing in (DatagramFraming, LengthFraming, SerialFraming):
+        data = framing().encode(ping)
+        for protocol in (
+            find_protocol("micro-ros", framing.transport),
+            find_protocol(f"micro-ROS/{framing.transport}"),
+        ):
+            assert framing().feed(protocol.answer_ping(data))
+            assert protocol.session(Catalog()).captured_as == f"micro-ROS/{framing.transport}"
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("morse", "no installed package has this protocol; known: broken, rosserial, text, wrong"),
+        ("morse", "no installed package has this protocol; known: broken, micro-ros, rosserial, text, wrong"),
         ("broken", "no_such_module:X cannot be imported: ModuleNotFoundError"),
         ("wrong", "tests.support.text_protocol:TextProtocol is not a DeviceProtocol"),
     ],

@@ -1,0 +1,88 @@
+"""micro-ROS boards at a whole daemon, over UDP, TCP and serial ports."""
+
+import asyncio
+import contextlib
+import socket
+
+from hostlink.core.config import Config, MicroRosConfig, MicroRosTcpConfig, MicroRosUdpConfig
+from hostlink.core.transport.udp import CREDIT_BYTES
+from tests.support.daemon import Daemon, daemon
+from tests.support.waiting import expect
+from tests.support.xrce_device import Device, stock, tcp_board, udp_board
+
+CONFIG = Config(micro_ros=MicroRosConfig(udp=MicroRosUdpConfig(port=0), tcp=MicroRosTcpConfig(port=0)))
+
+
+def address_of(host: Daemon, scheme: str) -> tuple[str, int]:
+    """The address for micro-ROS boards."""
+    (url,) = [each for each in host.hub.listening.micro_ros if each.startswith(scheme)]
+    name, _, port = url.removeprefix(f"{scheme}://").rpartition(":")
+    return name, int(port)
+
+
+async def robot_of(host: Daemon) -> str:
+    """The name of the only robot, when it is there."""
+    await expect(lambda: len(host.hub.robots.here()) == 1)
+    return host.hub.robots.here()[0].name
+
+
+async def check_drives(host: Daemon, device: Device) -> None:
+    """Drive the board, and see its odometry."""
+    name = await robot_of(host)
+    await host.drive(name, b'{"linear": 0.2, "angular": 0}')
+    await expect(lambda: any(speed > 0.1 for _, speed in device.stock.taken))
+    view = await host.get(f"/api/robots/{name}")
+    assert view["odometry"]["pose"]["x_m"] == 0.5, view
+
+
+async def test_board_over_udp_is_a_robot_that_drives() -> None:
+    async with daemon(CONFIG) as host, udp_board(address_of(host, "udp")) as device:
+        await device.is_at_work()
+        await check_drives(host, device)
+
+
+async def test_board_over_tcp_is_a_robot_that_drives() -> None:
+    async with daemon(CONFIG) as host, tcp_board(address_of(host, "tcp"), stock()) as device:
+        await device.is_at_work()
+        await check_drives(host, device)
+
+
+async def test_board_at_an_unverified_address_gets_no_more_bytes_than_it_sends_and_drives() -> None:
+    config = Config(micro_ros=MicroRosConfig(udp=MicroRosUdpConfig(port=0, trusted=())))
+    async with daemon(config) as host, udp_board(address_of(host, "udp")) as device:
+        await device.is_at_work()
+        await check_drives(host, device)
+        (link,) = host.hub.links.all()
+        assert link.session.counts.bytes_to_device <= CREDIT_BYTES + link.session.counts.bytes_from_device
+
+
+async def test_ping_is_answered_without_a_session_and_only_to_allowed_networks() -> None:
+    async with daemon(CONFIG) as host:
+        address = address_of(host, "udp")
+        assert await pinged(address)
+        assert not host.hub.links.all()
+    config = Config(micro_ros=MicroRosConfig(udp=MicroRosUdpConfig(port=0, allow=("10.0.0.0/8",))))
+    async with daemon(config) as host:
+        assert not await pinged(address_of(host, "udp"))
+        assert host.hub.counts.refused == {"not_allowed": 1}
+
+
+async def test_other_datagrams_open_nothing() -> None:
+    async with daemon(CONFIG) as host:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
+            for data in (b"hello", bytes(600), b"\xff\xfe\0\0\xff\0\0\xff"):
+                connection.sendto(data, address_of(host, "udp"))
+            await expect(lambda: host.hub.counts.datagrams_dropped == {"not_micro_ros": 3})
+        assert not host.hub.links.all()
+
+
+async def pinged(address: tuple[str, int]) -> bool:
+    """Whether a host at this address answers a ping within half a second."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
+        connection.setblocking(False)
+        connection.connect(address)
+        connection.send(bytes.fromhex("80000000 02010800 000AFFFD 02000000"))
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(0.5):
+                return b"\x06\x01" in await asyncio.get_running_loop().sock_recv(connection, 100)
+    return False

@@ -1,0 +1,162 @@
+"""A micro-ROS board of tests/support/xrce_board.py on a real connection: UDP, TCP or a serial port."""
+
+import asyncio
+import contextlib
+import os
+import socket
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from random import Random
+from typing import Any
+
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.cdr import cdr_of
+from hostlink.core.messages.message_type import MessageType
+from hostlink.core.runtime.cancellation import meanwhile
+from tests.support import xrce_board as board
+from tests.support.waiting import expect
+
+
+def cdr(type_name: str, values: dict[str, Any]) -> bytes:
+    """A message as a board writes it."""
+    type_ = Catalog().message(type_name)
+    assert isinstance(type_, MessageType)
+    return cdr_of(type_).from_ros1(type_.encode(values))
+
+
+class Device:
+    """A program of a board that runs in real time, until its connection is closed."""
+
+    def __init__(
+        self, program: board.Stock, send: Callable[[bytes], None], codec: board.Datagrams, *, loss: float = 0.0
+    ) -> None:
+        """`loss`: share of the messages that are lost, each way."""
+        self.stock, self.client = program, program.client
+        self._send, self._codec, self._loss, self._random = send, codec, loss, Random(1)
+        self._inbox: deque[bytes] = deque()
+        self._came = asyncio.Event()
+
+    def receive(self, data: bytes) -> None:
+        """Take what came from the host."""
+        self._inbox.extend(each for each in self._codec.decode(data) if self._random.random() >= self._loss)
+        self._came.set()
+
+    async def run(self) -> None:
+        """Run the program to its end, then do nothing."""
+        program, message = self.stock.run(), None
+        with contextlib.suppress(StopIteration):
+            while True:
+                self.client.now_s = time.monotonic()
+                until_s = next(program) if message is None else program.send(message)
+                message = None
+                for each in self.client.sent:
+                    if self._random.random() >= self._loss:
+                        self._send(self._codec.encode(each))
+                self.client.sent = []
+                message = await self._wait(until_s)
+        await asyncio.Future()
+
+    async def _wait(self, until_s: float) -> bytes | None:
+        """Wait until then, and return a message that comes before, if the program wants one."""
+        if until_s < 0:
+            await asyncio.sleep(-until_s - time.monotonic())
+            return None
+        while not self._inbox:
+            self._came.clear()
+            left_s = until_s - time.monotonic()
+            if left_s <= 0:
+                return None
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._came.wait(), left_s)
+        return self._inbox.popleft()
+
+    async def is_at_work(self) -> None:
+        """Wait until it has created everything, and publishes."""
+        await expect(lambda: self.stock.published or self.stock.failed_at)
+        assert not self.stock.failed_at
+
+
+def stock(*, key: bytes = b"\1\2\3\4", **how: bool | float) -> board.Stock:
+    """The program of a board like linorobot2."""
+    client = board.Client(key=key)
+    pose = {"position": {"x": 0.5}, "orientation": {"w": 1.0}}
+    odometry = cdr("nav_msgs/Odometry", {"header": {"frame_id": "odom"}, "pose": {"pose": pose}})
+    return board.Stock(client, odometry, cdr("sensor_msgs/Imu", {"orientation": {"w": 1.0}}), **how)  # type: ignore[arg-type]
+
+
+@contextlib.asynccontextmanager
+async def udp_board(
+    address: tuple[str, int], program: board.Stock | None = None, *, loss: float = 0.0, local: str = "127.0.0.1"
+) -> AsyncIterator[Device]:
+    """A board with a socket of its own."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
+        connection.setblocking(False)
+        connection.bind((local, 0))
+        connection.connect(address)
+
+        def send(data: bytes) -> None:
+            with contextlib.suppress(ConnectionRefusedError):  # no host is there yet, or no more
+                connection.send(data)
+
+        def read() -> bytes:
+            try:
+                return connection.recv(65536)
+            except (BlockingIOError, ConnectionRefusedError):
+                return b""
+
+        device = Device(program or stock(), send, board.Datagrams(), loss=loss)
+        async with _running(device, connection.fileno(), read):
+            yield device
+
+
+@contextlib.asynccontextmanager
+async def tcp_board(address: tuple[str, int], program: board.Stock | None = None) -> AsyncIterator[Device]:
+    """A board with a TCP connection."""
+    reader, writer = await asyncio.open_connection(*address)
+    device = Device(program or stock(), writer.write, board.Lengths())
+
+    async def receive() -> None:
+        while data := await reader.read(65536):
+            device.receive(data)
+
+    try:
+        async with meanwhile(("board", device.run()), ("receiving of the board", receive())):
+            yield device
+    finally:
+        writer.transport.abort()
+
+
+@contextlib.asynccontextmanager
+async def serial_board(descriptor: int, program: board.Stock | None = None) -> AsyncIterator[Device]:
+    """A board at the device's end of a pseudo-terminal."""
+
+    def send(data: bytes) -> None:
+        os.write(descriptor, data)
+
+    def read() -> bytes:
+        try:
+            return os.read(descriptor, 65536)
+        except (BlockingIOError, OSError):  # no host has the port open
+            return b""
+
+    device = Device(program or stock(), send, board.Serial())
+    async with _running(device, descriptor, read):
+        yield device
+
+
+@contextlib.asynccontextmanager
+async def _running(device: Device, descriptor: int, read: Callable[[], bytes]) -> AsyncIterator[None]:
+    loop = asyncio.get_running_loop()
+
+    def receive() -> None:
+        data = read()
+        if data:
+            device.receive(data)
+
+    loop.add_reader(descriptor, receive)
+    try:
+        async with meanwhile(("board", device.run())):
+            yield
+    finally:
+        loop.remove_reader(descriptor)
