@@ -106,7 +106,7 @@ class Quality:
         self.best_effort_lost = 0  # gaps in the numbers: exact
         self.best_effort_late = 0
         self.reliable = 0  # messages, each counted once
-        self.duplicates = 0  # messages that the device sent twice
+        self.duplicates = 0  # messages that the device sent twice, unless it was asked for them while it began
         self.missing = 0  # times that a message had not come when a later one had
         self.resent = 0  # messages that were sent to the device again
         self.waits = 0  # HEARTBEATs of a device that has waited for an acknowledgement
@@ -655,7 +655,8 @@ class XrceSession(DeviceSession):
         before = reliable.duplicates
         bodies = reliable.receive(message.number, message.body)
         again = reliable.duplicates - before
-        self.quality.duplicates += again
+        if not client.was_creating(now_s):
+            self.quality.duplicates += again
         self.quality.reliable += 1 - again
         self._read_bodies(client, reliable, bodies, found)
 

@@ -317,6 +317,13 @@ def test_slow_turns_of_the_loop_are_measured() -> None:
 
 
 @pytest.mark.slow
+def test_slow_board_without_commands_is_not_said_to_lose_messages() -> None:
+    made = watched(stock(turn_s=0.15, period_s=0.15))
+    for until_s in (2.0, 5.0, 15.0):
+        assert made.found(until_s) == {}
+
+
+@pytest.mark.slow
 def test_board_far_away_waits_in_its_publishes() -> None:
     made = drive(watched(stock(), delay_s=(0.015, 0.016)))
     found = made.found(15.0)
