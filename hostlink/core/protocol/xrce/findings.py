@@ -16,10 +16,8 @@ from hostlink.core.protocol.xrce.wire import (
     VENDOR,
     VERSION,
     ClientInfo,
-    Kind,
     encode_client,
     encode_message,
-    encode_submessage,
 )
 
 RECENT_S: Final = 30.0  # of the counts
@@ -38,7 +36,6 @@ JUDGED_S: Final = 5.0  # a board asks five times until then
 MIN_GREETINGS: Final = 3
 NEVER_ASKED_S: Final = 30.0  # boards that can reconnect ask for the host every second, or more often
 NAMES_MAX: Final = 3  # in one text
-PING: Final = bytes.fromhex("000AFFFD02000000")  # rmw_uros_ping_agent sends no other
 
 
 class OwnCounts(NamedTuple):
@@ -87,12 +84,10 @@ def explain(facts: Facts, evidence: LinkEvidence) -> Mapping[str, str]:
 
 def _usual() -> bytes:
     """Return what a board sends that hears no answer: pings, which are constant, and requests for a session."""
-    ping = encode_submessage(Kind.GET_INFO, PING)
     keys = (0x1234ABCD, 0x5E77C01F, 0x60B19A42, 0x7C0533E8)
     clients = [ClientInfo(VERSION, VENDOR, key.to_bytes(4), 0x81, (), 508) for key in keys]
-    messages = [encode_message(KEYLESS, b"", NO_STREAM, 0, ping)] * 8
-    messages += [encode_message(KEYLESS, b"", NO_STREAM, 0, encode_client(each)) for each in clients]
-    return b"".join(map(device_frame, messages))
+    messages = [encode_message(KEYLESS, b"", NO_STREAM, 0, encode_client(each)) for each in clients]
+    return line_speed.MICRO_ROS_PINGS + b"".join(map(device_frame, messages))
 
 
 USUAL: Final = _usual()

@@ -14,7 +14,10 @@ from hostlink.core.diagnosis.rules import diagnose
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.cdr import cdr_of
 from hostlink.core.protocol.events import MessageReceived
+from hostlink.core.protocol.line_speed import MICRO_ROS_PINGS
 from hostlink.core.protocol.resampling import resample
+from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
+from hostlink.core.protocol.session import DeviceProtocol
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP
 from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import XrceSession
@@ -162,8 +165,9 @@ def created(*writers: tuple[bytes, bool], form: int = 3, **faults: object) -> Wa
     [(MICRO_ROS_UDP, Datagrams), (MICRO_ROS_TCP, Lengths), (MICRO_ROS_SERIAL, Serial)],
     ids=["udp", "tcp", "serial"],
 )
-def test_healthy_board_has_no_finding(protocol: object, transport: type[Datagrams]) -> None:
-    session = protocol.session(CATALOG)  # type: ignore[attr-defined]
+def test_healthy_board_has_no_finding(protocol: DeviceProtocol, transport: type[Datagrams]) -> None:
+    session = protocol.session(CATALOG)
+    assert isinstance(session, XrceSession)
     made = drive(watched(stock(), session=session, transport=transport()))
     for until_s in (1.0, 4.0, 12.0, 40.0):
         assert made.found(until_s) == {}
@@ -186,8 +190,8 @@ def test_healthy_board_without_commands_has_no_finding(is_reliable: bool) -> Non
 class Raw:
     """Bytes of a serial port, read by a session."""
 
-    def __init__(self, baud: int = 57600) -> None:
-        self.session = MICRO_ROS_SERIAL.session(CATALOG)
+    def __init__(self, baud: int = 57600, protocol: DeviceProtocol = MICRO_ROS_SERIAL) -> None:
+        self.session = protocol.session(CATALOG)
         self.session.open(now_s=0.0)
         self.monitor = LinkMonitor(self.session, now_s=0.0)
         self.monitor.baud = baud
@@ -210,6 +214,19 @@ def test_slower_board_is_named_by_its_pings(sent: int, read: int, error: float) 
     assert f"read at {read} baud, most likely sent at {sent}" in found["wrong_baud"]
 
 
+@pytest.mark.parametrize(("sent", "read"), [(57600, 115200), (115200, 921600)])
+def test_slower_board_is_named_at_a_port_that_expects_rosserial(sent: int, read: int) -> None:
+    found = Raw(read, ROSSERIAL).found(resample(Serial().encode(PING) * 5, ratio=read / sent, gap_bits=0.5))
+    assert found.keys() == {"wrong_baud"}
+    assert f"read at {read} baud, most likely sent at {sent}" in found["wrong_baud"]
+
+
+@pytest.mark.parametrize("stuck", [b"\0", b"\xff", b"\x80\x90"])
+def test_stuck_line_has_no_rate(stuck: bytes) -> None:
+    assert Raw(57600, ROSSERIAL).found(stuck * 100).keys() == {"no_sync"}
+    assert Raw(57600).found(stuck * 100).keys() == {"no_sync"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("sent", "read"), [(115200, 57600), (921600, 115200), (230400, 115200)])
 def test_faster_board_is_not_given_a_wrong_rate(sent: int, read: int) -> None:
@@ -217,6 +234,10 @@ def test_faster_board_is_not_given_a_wrong_rate(sent: int, read: int) -> None:
     assert found.keys() <= {"wrong_baud", "no_sync"}
     assert found
     assert "most likely" not in found.get("wrong_baud", "")
+
+
+def test_ping_is_the_frame_that_the_guess_at_a_rate_knows() -> None:
+    assert Serial().encode(PING) * 8 == MICRO_ROS_PINGS
 
 
 def test_text_boot_message_and_noise_on_the_line_are_named() -> None:
