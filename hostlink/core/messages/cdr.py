@@ -127,13 +127,14 @@ class _Module:
         """Compile the function that translates a whole message."""
         body = _Body(self, _ALIGNMENT_MAX)
         body.add_message(layout)
-        self.is_copy = body.is_copy
+        self.is_copy = body.copied_bytes is not None
+        shortcut = [f" if size == {body.copied_bytes}: return b"] * self.is_copy
         if appended:
             body.align(SIZES[appended])
             body.add_zeros(SIZES[appended])
         is_strict = not self.reads_cdr or layout.fixed_bytes is not None
         padding_bytes = _PADDING_MAX if self.reads_cdr else 0
-        self._lines += ["def translate(b):", " o = d = 0", " size = len(b)", " p = []", *body.finish()]
+        self._lines += ["def translate(b):", " size = len(b)", *shortcut, " o = d = 0", " p = []", *body.finish()]
         self._lines += [f" if size - o > {padding_bytes}: check_rest(b, o, {is_strict})", " return b''.join(p)"]
         names: dict[str, Any] = {"UncommonLayout": ValueError, "zeros": _ZEROS, "check_rest": _check_rest}
         names |= {"unpack": _COUNT.unpack_from, "pack": _COUNT.pack}
@@ -183,8 +184,10 @@ class _Body:
         self._run: list[tuple[int, bool, bool]] = []  # bytes, and whether CDR and ROS 1 have them; not yet written
 
     @property
-    def is_copy(self) -> bool:
-        return not self._lines and [flags for _, *flags in self._run] == [[True, True]]
+    def copied_bytes(self) -> int | None:
+        """Size of the message if all of it is copied, else None."""
+        [(size, in_cdr, in_ros1), *others] = self._run or [(0, False, False)]
+        return size if in_cdr and in_ros1 and not others and not self._lines else None
 
     def finish(self) -> list[str]:
         self._close_run()
@@ -278,7 +281,9 @@ class _Body:
         if (
             not self._module.reads_cdr and element.room > element.minimum_bytes
         ):  # it grows by its messages without fields
-            self._lines.append(f" if o + d > {ENCODED_BYTES_MAX}: raise UncommonLayout('it is too long in CDR')")
+            self._lines.append(
+                f" if o + d > {ENCODED_BYTES_MAX}: raise UncommonLayout('more than {ENCODED_BYTES_MAX} bytes in CDR')"
+            )
         self._modulus, self._phase = 1, 0
 
     def _least_bytes(self, element: Layout) -> int:
