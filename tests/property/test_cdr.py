@@ -1,0 +1,133 @@
+"""The translation of CDR compared with rosbags for every type of the catalog, and fed with any bytes."""
+
+import contextlib
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
+
+from hostlink.components.graphs.ros2_types import Ros2Message, Ros2Types
+from hostlink.components.graphs.wire_layout import ros1_layout, ros2_layout
+from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.cdr import Cdr, cdr_of
+from hostlink.core.messages.fields import Field
+from hostlink.core.messages.message_type import MessageType
+from hostlink.core.messages.ros2_names import ros2_type
+from hostlink.errors import BadPayload, WrongType
+from tests.support.random_messages import damaged, random_message
+from tests.support.strategies import fewer_examples
+
+CATALOG = Catalog()
+ROS2 = Ros2Types(CATALOG, "jazzy")
+SINCE_HUMBLE = (Stores.ROS2_HUMBLE, Stores.ROS2_IRON, Stores.ROS2_JAZZY, Stores.ROS2_KILTED, Stores.LATEST)
+RANGE = "sensor_msgs/Range"  # rosbags leaves its new field out when it translates
+
+
+def translated(type_: MessageType) -> Cdr | None:
+    """The translation; None if the type is refused."""
+    with contextlib.suppress(WrongType):
+        return cdr_of(type_)
+    return None
+
+
+def every_type() -> dict[str, tuple[MessageType, Ros2Message]]:
+    """Types by name, with those of rosbags."""
+    found: dict[str, tuple[MessageType, Ros2Message]] = {}
+    for name in CATALOG.message_names():
+        known, ros2 = CATALOG.message(name), ROS2.message(name)
+        assert known is not None
+        assert ros2 is not None
+        found[name] = known, ros2
+    for name in CATALOG.service_names():
+        service, ros2_service = CATALOG.service(name), ROS2.service(name)
+        assert service is not None
+        assert ros2_service is not None
+        found[service.request.name] = service.request, ros2_service.request
+        found[service.response.name] = service.response, ros2_service.response
+    return found
+
+
+TYPES = every_type()
+TRANSLATED = [name for name, (known, _) in TYPES.items() if translated(known) is not None]
+names = st.sampled_from(TRANSLATED)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def check_type(name: str, random: Random) -> None:
+    known, ros2 = TYPES[name]
+    ros1 = known.encode(random_message(random, known.layout))
+    cdr = cdr_of(known).from_ros1(ros1, is_encapsulated=True)
+    expected = ros2.to_cdr(ros1)
+    assert cdr == expected, name
+    assert cdr_of(known).to_ros1(expected, is_encapsulated=True) == ros2.from_cdr(expected), name
+
+
+def test_most_types_are_translated() -> None:
+    assert len(TRANSLATED) > 250
+
+
+@pytest.mark.parametrize("part", range(8))
+def test_every_type_is_translated_as_by_rosbags(part: int) -> None:
+    random = Random(part)
+    for name in TRANSLATED[part::8]:
+        for _ in range(4):
+            check_type(name, random)
+
+
+@given(names, seeds)
+@fewer_examples(1)
+def test_message_is_translated_as_by_rosbags(name: str, seed: int) -> None:
+    check_type(name, Random(seed))
+
+
+@given(names, st.binary(max_size=200), st.booleans())
+@fewer_examples(1)
+def test_any_bytes_raise_only_bad_payload(name: str, payload: bytes, is_encapsulated: bool) -> None:
+    cdr = cdr_of(TYPES[name][0])
+    with contextlib.suppress(BadPayload):
+        cdr.to_ros1(payload, is_encapsulated=is_encapsulated)
+    with contextlib.suppress(BadPayload):
+        cdr.from_ros1(payload, is_encapsulated=is_encapsulated)
+
+
+@given(names, seeds)
+@fewer_examples(1)
+def test_damaged_message_is_another_one_or_refused(name: str, seed: int) -> None:
+    """What is translated without an error is a message: it can be decoded, and has the same CDR again."""
+    random, known = Random(seed), TYPES[name][0]
+    ros1 = known.encode(random_message(random, known.layout))
+    cdr = cdr_of(known)
+    with contextlib.suppress(BadPayload):
+        payload = cdr.to_ros1(damaged(random, cdr.from_ros1(ros1)))
+        known.decode(payload)
+        assert cdr.to_ros1(cdr.from_ros1(payload)) == payload
+    with contextlib.suppress(BadPayload):
+        payload = damaged(random, ros1)
+        message = cdr.from_ros1(payload)
+        known.decode(payload)
+        assert cdr.from_ros1(cdr.to_ros1(message)) == message
+
+
+def test_types_that_ros_2_has_changed_are_those_that_are_refused() -> None:
+    """Range has one more field at its end, which is appended."""
+    differing = {RANGE}
+    for name, (known, _) in TYPES.items():
+        for store in map(get_typestore, SINCE_HUMBLE):
+            ros2 = ros2_type(name)
+            if ros2 in store.fielddefs and not is_same(known, ros2, dict(store.fielddefs)):
+                differing.add(name)
+    assert differing == {RANGE, *(TYPES.keys() - set(TRANSLATED))}
+
+
+def is_same(known: MessageType, name: str, fielddefs: dict) -> bool:  # type: ignore[type-arg]
+    ros2 = ros2_layout(lambda each: dict(fielddefs[each][1]), name)
+    return ros1_layout(fields_of(known).get, known.name) == ros2
+
+
+def fields_of(known: MessageType) -> dict[str, tuple[Field, ...]]:
+    found = {known.name: known.fields}
+    for nested in known.nested.values():
+        found |= fields_of(nested)
+    return found
