@@ -95,7 +95,7 @@ def test_any_bytes_raise_only_bad_payload(name: str, payload: bytes, is_encapsul
 @given(names, seeds)
 @fewer_examples(1)
 def test_damaged_message_is_another_one_or_refused(name: str, seed: int) -> None:
-    """What is translated without an error is a message: it can be decoded, and has the same CDR again."""
+    """A translation without an error is a message: it can be decoded, and has the same CDR again."""
     random, known = Random(seed), TYPES[name][0]
     ros1 = known.encode(random_message(random, known.layout))
     cdr = cdr_of(known)

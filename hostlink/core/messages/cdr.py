@@ -29,14 +29,14 @@ ENCAPSULATION: Final = b"\x00\x01\x00\x00"  # CDR, little endian; the last two b
 _REPRESENTATION: Final = ENCAPSULATION[:2]
 
 # Types whose fields ROS 2 has changed, by the md5 sum of the definition of ROS 1. Another definition of such a name, as
-# from a folder of the user's, is taken as it stands.
+# from a folder of the user's, is used unchanged.
 _CHANGED: Final = {
     "rosgraph_msgs/Log": "acffd30cd6b6de30f120938c17c593fb",
     "shape_msgs/SolidPrimitive": "d8f8cbc74c5ff283fca29569ccefb45d",  # since Humble
     "visualization_msgs/Marker": "4048c9de2a16f4ae8e0538085ebf1b97",  # since Humble
 }
-# One field more at the end since Iron. Earlier ones ignore the bytes, as ROS 2 does with all after a message.
-_APPENDED: Final = {"sensor_msgs/Range": ("c005c34273dc426c67a020a87bc24148", "float32")}
+# Bytes of a field more at the end, since Iron. Earlier ones ignore them, as ROS 2 does with all after a message.
+_APPENDED: Final = {"sensor_msgs/Range": ("c005c34273dc426c67a020a87bc24148", SIZES["float32"])}
 
 _ALIGNMENT_MAX: Final = 8
 _PADDING_MAX: Final = 3  # DDS pads a message to 4 bytes
@@ -45,7 +45,7 @@ _TEXT: Final = Layout("text", (Field("text", "string"),), {})
 _COUNT: Final = struct.Struct("<I")
 _ZEROS: Final = [bytes(count) for count in range(_ALIGNMENT_MAX)]
 
-_Translate = Callable[[bytes], bytes]
+_Translate = Callable[[bytes, bool], bytes]
 
 
 class Cdr:
@@ -53,16 +53,18 @@ class Cdr:
 
     def __init__(self, type_: MessageType) -> None:
         self.name: str = type_.name
-        md5, appended = _APPENDED.get(type_.name, ("", ""))
+        md5, size = _APPENDED.get(type_.name, ("", 0))
+        appended_bytes = size if md5 == type_.md5 else 0
         to_ros1, from_ros1 = _Module(reads_cdr=True), _Module(reads_cdr=False)
-        self._to_ros1: _Translate = to_ros1.load(type_.layout)
-        self._from_ros1: _Translate = from_ros1.load(type_.layout, appended if md5 == type_.md5 else "")
+        self._to_ros1: _Translate = to_ros1.load(type_.layout, appended_bytes)
+        self._from_ros1: _Translate = from_ros1.load(type_.layout, appended_bytes)
         self.is_copy: bool = to_ros1.is_copy
 
     def to_ros1(self, payload: bytes, *, is_encapsulated: bool = False) -> bytes:
         """Translate a message of ROS 2. The `seq` of a header is 0.
 
-        `is_encapsulated`: the payload begins with ENCAPSULATION.
+        `is_encapsulated`: the payload begins with ENCAPSULATION, and only padding may follow the message. Otherwise,
+        what a board of micro-ROS leaves after a message is ignored, too.
 
         Raises:
             BadPayload: it is not a message of this type, or its encapsulation is not that of little-endian CDR.
@@ -71,7 +73,7 @@ class Cdr:
             if len(payload) < len(ENCAPSULATION) or not payload.startswith(_REPRESENTATION):
                 raise BadPayload(self.name, f"the payload begins with {payload[:4].hex()}, little-endian CDR with 0001")
             payload = payload[len(ENCAPSULATION) :]
-        return self._translated(self._to_ros1, payload)
+        return self._translated(self._to_ros1, payload, is_exact=is_encapsulated)
 
     def from_ros1(self, payload: bytes, *, is_encapsulated: bool = False) -> bytes:
         """Translate a message of ROS 1.
@@ -79,12 +81,12 @@ class Cdr:
         Raises:
             BadPayload: it is not a message of this type.
         """
-        message = self._translated(self._from_ros1, payload)
+        message = self._translated(self._from_ros1, payload, is_exact=True)
         return ENCAPSULATION + message if is_encapsulated else message
 
-    def _translated(self, translate: _Translate, payload: bytes) -> bytes:
+    def _translated(self, translate: _Translate, payload: bytes, *, is_exact: bool) -> bytes:
         try:
-            return translate(payload)
+            return translate(payload, is_exact)
         except UNCOMMON_LAYOUT as error:
             raise BadPayload(self.name, f"{len(payload)} bytes are not such a message: {error}") from None
 
@@ -123,19 +125,25 @@ class _Module:
         self._functions: dict[Layout, str] = {}
         self._lines: list[str] = []
 
-    def load(self, layout: Layout, appended: str = "") -> _Translate:
-        """Compile the function that translates a whole message."""
+    def load(self, layout: Layout, appended_bytes: int) -> _Translate:
+        """Compile the function that translates a whole message. `appended_bytes`: of zeros at the end of the CDR."""
         body = _Body(self, _ALIGNMENT_MAX)
         body.add_message(layout)
         self.is_copy = body.copied_bytes is not None
         shortcut = [f" if size == {body.copied_bytes}: return b"] * self.is_copy
-        if appended:
-            body.align(SIZES[appended])
-            body.add_zeros(SIZES[appended])
-        is_strict = not self.reads_cdr or layout.fixed_bytes is not None
-        padding_bytes = _PADDING_MAX if self.reads_cdr else 0
-        self._lines += ["def translate(b):", " size = len(b)", *shortcut, " o = d = 0", " p = []", *body.finish()]
-        self._lines += [f" if size - o > {padding_bytes}: check_rest(b, o, {is_strict})", " return b''.join(p)"]
+        if not self.reads_cdr:
+            body.add_zeros(appended_bytes)
+        padding_bytes = _PADDING_MAX + appended_bytes if self.reads_cdr else 0
+        is_exact = layout.fixed_bytes is not None or "is_exact"
+        self._lines += [
+            "def translate(b, is_exact):",
+            " size = len(b)",
+            *shortcut,
+            " o = d = 0",
+            " p = []",
+            *body.finish(),
+        ]
+        self._lines += [f" if size - o > {padding_bytes}: check_rest(b, o, {is_exact})", " return b''.join(p)"]
         names: dict[str, Any] = {"UncommonLayout": ValueError, "zeros": _ZEROS, "check_rest": _check_rest}
         names |= {"unpack": _COUNT.unpack_from, "pack": _COUNT.pack}
         exec("\n".join(self._lines), names)  # noqa: S102 - the source has only numbers of a definition, no text
@@ -151,7 +159,7 @@ class _Module:
         return self._functions[layout]
 
 
-def _check_rest(payload: bytes, end: int, is_strict: bool) -> None:
+def _check_rest(payload: bytes, end: int, is_exact: bool) -> None:
     """Raise ValueError if the payload continues after the message for longer than its writer may let it.
 
     Micro-ROS announces a byte more than it writes for each empty text, which may cost a whole alignment, and leaves the
@@ -159,7 +167,7 @@ def _check_rest(payload: bytes, end: int, is_strict: bool) -> None:
     """
     rest_bytes = len(payload) - end
     empty_texts = payload.count(_ZEROS[COUNT_BYTES], 0, end)  # or more: a length of 0 is four zeros
-    if is_strict or rest_bytes >= _ALIGNMENT_MAX * (1 + empty_texts):
+    if is_exact or rest_bytes >= _ALIGNMENT_MAX * (1 + empty_texts):
         raise ValueError(f"the message ends after {end} bytes")
 
 
@@ -344,7 +352,7 @@ def _solid(layout: Layout, field: Field) -> _Solid | None:
         solid = None if part.array_length == VARIABLE else _solid(inner, part)
         if solid is None:
             return None
-        alignment = alignment or solid.alignment  # what comes first aligns all
+        alignment = alignment or solid.alignment  # that of the first part
         if solid.alignment > alignment or size % solid.alignment:
             return None
         size += solid.size * abs(part.array_length)

@@ -206,7 +206,7 @@ def test_padding_after_a_message_of_fixed_size_is_ignored() -> None:
 
 
 def test_text_that_micro_ros_never_set_is_empty() -> None:
-    """Its length is 0, without the NUL for which it announces a byte; the next double may then be eight bytes early."""
+    """The length is 0, without the NUL for which a byte is announced; the next double may then be eight bytes early."""
     imu = cdr("sensor_msgs/Imu")
     values = struct.pack("<37d", *range(37))
     payload = struct.pack("<iIIxxxx", 1, 2, 0) + values
@@ -223,6 +223,9 @@ def test_more_than_texts_may_leave_is_refused() -> None:
     assert text.to_ros1(payload + bytes(7)) == struct.pack("<I", 3) + b"abc"
     with pytest.raises(BadPayload, match="16 bytes are not such a message: the message ends after 8 bytes"):
         text.to_ros1(payload + bytes(8))
+    assert text.to_ros1(ENCAPSULATION + payload + bytes(3), is_encapsulated=True)
+    with pytest.raises(BadPayload, match="12 bytes are not such a message: the message ends after 8 bytes"):
+        text.to_ros1(ENCAPSULATION + payload + bytes(4), is_encapsulated=True)
 
 
 def test_text_without_a_nul_is_refused() -> None:
@@ -241,6 +244,7 @@ def test_range_has_a_variance_in_ros_2() -> None:
     assert sonar.from_ros1(ros1) == ros2 + bytes(4)
     assert sonar.to_ros1(ros2) == ros1
     assert sonar.to_ros1(ros2 + struct.pack("<f", 0.5)) == ros1
+    assert sonar.to_ros1(ENCAPSULATION + ros2 + struct.pack("<f", 0.5), is_encapsulated=True) == ros1
 
 
 @pytest.mark.parametrize(
@@ -256,7 +260,7 @@ def test_type_with_other_fields_in_ros_2_is_refused(name: str, changed: str) -> 
         cdr(name)
 
 
-def test_definition_of_the_users_is_taken_as_it_stands(tmp_path: Path) -> None:
+def test_definition_in_a_folder_of_the_user_is_used_unchanged(tmp_path: Path) -> None:
     marker = message("visualization_msgs/Marker").definition
     sonar = message("sensor_msgs/Range").definition
     write(tmp_path, "visualization_msgs", {"Marker": f"{marker}string texture_resource\n"})
@@ -269,7 +273,7 @@ def test_definition_of_the_users_is_taken_as_it_stands(tmp_path: Path) -> None:
 
 
 def test_range_in_another_message_is_refused(tmp_path: Path) -> None:
-    """What it has more would be in the middle."""
+    """The bytes that it has more would be in the middle."""
     write(tmp_path, "t", {"Sonars": "sensor_msgs/Range[] all\n"})
     with pytest.raises(WrongType, match="t/Sonars: wanted the fields that sensor_msgs/Range has in ROS 2"):
         cdr("t/Sonars", Catalog([tmp_path]))
@@ -316,7 +320,7 @@ def test_lying_length_costs_nothing(name: str, before: int) -> None:
 
 
 def test_list_of_messages_without_fields_is_short(own: Catalog) -> None:
-    """It has no bytes in ROS 1, so nothing there bounds it."""
+    """The bytes of ROS 1 do not bound it."""
     empties = cdr("t/Empties", own)
     full = struct.pack("<I", EMPTY_ELEMENTS_MAX)
     assert empties.from_ros1(full) == full + bytes(EMPTY_ELEMENTS_MAX + 3)
@@ -334,7 +338,7 @@ def test_message_that_grows_in_cdr_has_a_limit(own: Catalog) -> None:
         grown.from_ros1(struct.pack("<I", 100_000) + bytes(100_000))
 
 
-def test_translation_is_made_once_and_goes_with_its_type(own: Catalog) -> None:
+def test_translation_is_compiled_once_and_dropped_with_its_type(own: Catalog) -> None:
     type_ = message("t/Padded", own)
     assert cdr_of(type_) is cdr_of(type_)
     alone = Catalog().message("geometry_msgs/Twist")
