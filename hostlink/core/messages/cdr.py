@@ -51,10 +51,12 @@ _Translate = Callable[[bytes, bool], bytes]
 class Cdr:
     """Translation of one type. `is_copy`: a message of the type has the same bytes in both serialisations."""
 
-    def __init__(self, type_: MessageType) -> None:
+    def __init__(self, type_: MessageType, *, appended_bytes: int = 0) -> None:
+        """Compile the translation of a type whose fields are the same in ROS 2.
+
+        `appended_bytes`: of a field that only ROS 2 has, at the end. It is zero in what is made, and ignored otherwise.
+        """
         self.name: str = type_.name
-        md5, size = _APPENDED.get(type_.name, ("", 0))
-        appended_bytes = size if md5 == type_.md5 else 0
         to_ros1, from_ros1 = _Module(reads_cdr=True), _Module(reads_cdr=False)
         self._to_ros1: _Translate = to_ros1.load(type_.layout, appended_bytes)
         self._from_ros1: _Translate = from_ros1.load(type_.layout, appended_bytes)
@@ -103,13 +105,17 @@ def cdr_of(message_type: MessageType) -> Cdr:
     found = _cdrs.get(message_type)
     if found is None:
         _check_fields(message_type, message_type.name)
-        found = _cdrs[message_type] = Cdr(message_type)
+        found = _cdrs[message_type] = Cdr(message_type, appended_bytes=_appended_bytes(message_type))
     return found
 
 
+def _appended_bytes(type_: MessageType) -> int:
+    md5, size = _APPENDED.get(type_.name, ("", 0))
+    return size if md5 == type_.md5 else 0
+
+
 def _check_fields(type_: MessageType, outer: str) -> None:
-    is_inside = type_.name != outer
-    if _CHANGED.get(type_.name) == type_.md5 or (is_inside and _APPENDED.get(type_.name, ("",))[0] == type_.md5):
+    if _CHANGED.get(type_.name) == type_.md5 or (type_.name != outer and _appended_bytes(type_)):
         raise WrongType(outer, f"the fields that {type_.name} has in ROS 2", "those of ROS 1")
     for nested in type_.nested.values():
         _check_fields(nested, outer)
@@ -126,7 +132,7 @@ class _Module:
         self._lines: list[str] = []
 
     def load(self, layout: Layout, appended_bytes: int) -> _Translate:
-        """Compile the function that translates a whole message. `appended_bytes`: of zeros at the end of the CDR."""
+        """Compile the function that translates a whole message."""
         body = _Body(self, _ALIGNMENT_MAX)
         body.add_message(layout)
         self.is_copy = body.copied_bytes is not None
@@ -135,14 +141,8 @@ class _Module:
             body.add_zeros(appended_bytes)
         padding_bytes = _PADDING_MAX + appended_bytes if self.reads_cdr else 0
         is_exact = layout.fixed_bytes is not None or "is_exact"
-        self._lines += [
-            "def translate(b, is_exact):",
-            " size = len(b)",
-            *shortcut,
-            " o = d = 0",
-            " p = []",
-            *body.finish(),
-        ]
+        self._lines += ["def translate(b, is_exact):", " size = len(b)", *shortcut, " o = d = 0", " p = []"]
+        self._lines += body.finish()
         self._lines += [f" if size - o > {padding_bytes}: check_rest(b, o, {is_exact})", " return b''.join(p)"]
         names: dict[str, Any] = {"UncommonLayout": ValueError, "zeros": _ZEROS, "check_rest": _check_rest}
         names |= {"unpack": _COUNT.unpack_from, "pack": _COUNT.pack}
@@ -219,7 +219,7 @@ class _Body:
             self.add_zeros(-self._phase % size)
             return
         self._close_run()
-        self._align_by_statement(size, "")
+        self._align_by_statement(size)
         self._modulus, self._phase = size, 0
 
     def _add(self, size: int, *, in_ros1: bool = True) -> None:
@@ -246,7 +246,7 @@ class _Body:
         self._read_count()
         self._check_end("o + 4 + n")
         if self._module.reads_cdr:
-            self._lines.append("if n and b[e - 1]: raise UncommonLayout(f'the text at {o} has no NUL at its end')")
+            self._refuse_if("n and b[e - 1]", "the text at {o} has no NUL at its end")
             self._lines.append("p += (pack(n - 1), b[o + 4:e - 1]) if n else (zeros[4],)")
         else:
             self._lines += ["p += (pack(n + 1), b[o + 4:e], zeros[1])", "d += 1"]
@@ -258,7 +258,7 @@ class _Body:
         self._read_count()
         if solid.alignment > COUNT_BYTES:
             self._lines += ["p.append(b[o:o + 4])", "o += 4", "if n:"]
-            self._align_by_statement(solid.alignment, " ")
+            self._align_by_statement(solid.alignment, indent=" ")
             self._check_end(f"o + n * {solid.size}")
         else:
             self._check_end(f"o + 4 + n * {solid.size}")
@@ -272,30 +272,19 @@ class _Body:
         count = str(field.array_length)
         if field.array_length == VARIABLE:
             self._read_count()
-            self._lines += [
-                f"if n * {self._least_bytes(element)} > size - o - 4: raise UncommonLayout(f'{{n}} elements at {{o}}')"
-            ]
+            least_bytes = 1 if self._module.reads_cdr else element.minimum_bytes
+            self._refuse_if(f"n * {least_bytes} > size - o - 4", "{n} elements at {o}")
             if element.minimum_bytes == 0:
-                self._lines.append(
-                    f"if n > {EMPTY_ELEMENTS_MAX}: raise UncommonLayout(f'{{n}} elements without fields')"
-                )
+                self._refuse_if(f"n > {EMPTY_ELEMENTS_MAX}", "{n} elements without fields")
             self._lines += ["p.append(b[o:o + 4])", "o += 4"]
             count = "n"
         self._close_run()
-        self._lines += [
-            f"for _ in range({count}):",
-            f" {self._module.state} = {name}(b, {self._module.state}, size, p)",
-        ]
-        if (
-            not self._module.reads_cdr and element.room > element.minimum_bytes
-        ):  # it grows by its messages without fields
-            self._lines.append(
-                f" if o + d > {ENCODED_BYTES_MAX}: raise UncommonLayout('more than {ENCODED_BYTES_MAX} bytes in CDR')"
-            )
+        state = self._module.state
+        self._lines += [f"for _ in range({count}):", f" {state} = {name}(b, {state}, size, p)"]
+        has_empty = element.room > element.minimum_bytes  # messages without fields, each of which is a byte in CDR
+        if has_empty and not self._module.reads_cdr:
+            self._refuse_if(f"o + d > {ENCODED_BYTES_MAX}", f"more than {ENCODED_BYTES_MAX} bytes in CDR", indent=" ")
         self._modulus, self._phase = 1, 0
-
-    def _least_bytes(self, element: Layout) -> int:
-        return 1 if self._module.reads_cdr else element.minimum_bytes
 
     def _read_count(self) -> None:
         self.align(COUNT_BYTES)
@@ -303,9 +292,14 @@ class _Body:
         self._lines.append("n, = unpack(b, o)")
 
     def _check_end(self, end: str) -> None:
-        self._lines += [f"e = {end}", "if e > size: raise UncommonLayout(f'{e - size} bytes are missing at {o}')"]
+        self._lines.append(f"e = {end}")
+        self._refuse_if("e > size", "{e - size} bytes are missing at {o}")
 
-    def _align_by_statement(self, size: int, indent: str) -> None:
+    def _refuse_if(self, condition: str, text: str, *, indent: str = "") -> None:
+        """Write the statement that refuses the payload. `text` is that of an f-string."""
+        self._lines.append(f"{indent}if {condition}: raise UncommonLayout(f'{text}')")
+
+    def _align_by_statement(self, size: int, *, indent: str = "") -> None:
         if self._module.reads_cdr:
             self._lines.append(f"{indent}o = (o + {size - 1}) & -{size}")
         else:
@@ -349,7 +343,8 @@ def _solid(layout: Layout, field: Field) -> _Solid | None:
     inner = layout.nested[field.type]
     alignment = size = 0
     for part in inner.fields:
-        solid = None if part.array_length == VARIABLE else _solid(inner, part)
+        is_copied = part.array_length != VARIABLE and (inner.name, part) != _SEQ
+        solid = _solid(inner, part) if is_copied else None
         if solid is None:
             return None
         alignment = alignment or solid.alignment  # that of the first part

@@ -272,6 +272,15 @@ def test_definition_in_a_folder_of_the_user_is_used_unchanged(tmp_path: Path) ->
     assert len(cdr("sensor_msgs/Range", catalog).from_ros1(message("sensor_msgs/Range", catalog).encode({}))) == 36
 
 
+def test_header_of_the_user_without_a_text_loses_its_seq_in_lists_too(tmp_path: Path) -> None:
+    write(tmp_path, "std_msgs", {"Header": "uint32 seq\ntime stamp\n"})
+    write(tmp_path, "t", {"Headers": "Header[] all\n"})
+    headers = cdr("t/Headers", Catalog([tmp_path]))
+    ros1 = struct.pack("<7I", 2, 0, 1, 2, 0, 3, 4)
+    assert headers.from_ros1(ros1) == struct.pack("<5I", 2, 1, 2, 3, 4)
+    assert headers.to_ros1(struct.pack("<5I", 2, 1, 2, 3, 4)) == ros1
+
+
 def test_range_in_another_message_is_refused(tmp_path: Path) -> None:
     """The bytes that it has more would be in the middle."""
     write(tmp_path, "t", {"Sonars": "sensor_msgs/Range[] all\n"})
