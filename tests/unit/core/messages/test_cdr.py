@@ -272,6 +272,18 @@ def test_definition_in_a_folder_of_the_user_is_used_unchanged(tmp_path: Path) ->
     assert len(cdr("sensor_msgs/Range", catalog).from_ros1(message("sensor_msgs/Range", catalog).encode({}))) == 36
 
 
+def test_definition_of_ros_2_with_a_time_is_translated(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        "t",
+        {"Stamped": "std_msgs/Header header\nbuiltin_interfaces/Time at\nbuiltin_interfaces/Duration[] d\n"},
+    )
+    stamped = message("t/Stamped", Catalog([tmp_path]))
+    assert stamped.has_time
+    ros1 = stamped.encode({"at": {"secs": 5, "nsecs": 6}, "d": [{"secs": -1, "nsecs": 7}]})
+    assert cdr_of(stamped).from_ros1(ros1) == struct.pack("<iIIxxxxiIIiI", 0, 0, 1, 5, 6, 1, -1, 7)
+
+
 def test_header_of_the_user_without_a_text_loses_its_seq_in_lists_too(tmp_path: Path) -> None:
     write(tmp_path, "std_msgs", {"Header": "uint32 seq\ntime stamp\n"})
     write(tmp_path, "t", {"Headers": "Header[] all\n"})
