@@ -16,6 +16,7 @@ from hostlink.core.messages.fields import Field
 from hostlink.core.messages.message_type import MessageType
 from hostlink.core.messages.ros2_names import ros2_type
 from hostlink.errors import BadPayload, WrongType
+from tests.support.cdr_writer import has_array_of_texts, written, written_by_micro_ros
 from tests.support.random_messages import damaged, random_message
 from tests.support.strategies import fewer_examples
 
@@ -108,6 +109,16 @@ def test_damaged_message_is_another_one_or_refused(name: str, seed: int) -> None
         message = cdr.from_ros1(payload)
         known.decode(payload)
         assert cdr.from_ros1(cdr.to_ros1(message)) == message
+
+
+@given(names.filter(lambda name: not has_array_of_texts(TYPES[name].layout)), seeds)
+@fewer_examples(1)
+def test_message_of_micro_ros_with_texts_that_were_never_set_is_translated(name: str, seed: int) -> None:
+    random, known = Random(seed), TYPES[name]
+    message = random_message(random, known.layout)
+    cdr = cdr_of(known)
+    expected = cdr.to_ros1(written(known.layout, message))
+    assert cdr.to_ros1(written_by_micro_ros(known.layout, message, random)) == expected
 
 
 def test_types_that_ros_2_has_changed_are_those_that_are_refused() -> None:

@@ -12,9 +12,10 @@ import pytest
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.cdr import ENCAPSULATION, Cdr, cdr_of
-from hostlink.core.messages.fields import EMPTY_ELEMENTS_MAX, ENCODED_BYTES_MAX, SCALAR, SIZES, VARIABLE, Field, Layout
+from hostlink.core.messages.fields import EMPTY_ELEMENTS_MAX, ENCODED_BYTES_MAX
 from hostlink.core.messages.message_type import MessageType
 from hostlink.errors import BadPayload, WrongType
+from tests.support.cdr_writer import written
 from tests.support.random_messages import damaged, random_message
 
 CATALOG = Catalog()
@@ -61,48 +62,6 @@ def message(name: str, catalog: Catalog = CATALOG) -> MessageType:
 
 def cdr(name: str, catalog: Catalog = CATALOG) -> Cdr:
     return cdr_of(message(name, catalog))
-
-
-# -- a plain CDR writer -----------------------------------------------------------------------------------------------
-
-
-def written(layout: Layout, value: object) -> bytes:
-    """The message in CDR, value by value."""
-    data = bytearray()
-    _write(data, layout, value)
-    return bytes(data)
-
-
-def _write(data: bytearray, layout: Layout, value: object) -> None:
-    assert isinstance(value, dict)
-    if not layout.fields:
-        data += b"\0"
-    for field in layout.fields:
-        if layout.name == "std_msgs/Header" and field.name == "seq":
-            continue
-        if field.array_length == VARIABLE:
-            _write_number(data, "<I", len(value[field.name]))
-        for each in [value[field.name]] if field.array_length == SCALAR else value[field.name]:
-            _write_one(data, layout, field, each)
-
-
-def _write_one(data: bytearray, layout: Layout, field: Field, value: object) -> None:
-    if field.type == "string":
-        assert isinstance(value, str)
-        text = value.encode() + b"\0"
-        _write_number(data, "<I", len(text))
-        data += text
-    elif field.type in SIZES:
-        codes = {"float32": "f", "float64": "d", "bool": "?", "byte": "b", "char": "B", "int8": "b", "uint8": "B"}
-        integers = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q"}
-        _write_number(data, f"<{(codes | integers)[field.type]}", value)
-    else:
-        _write(data, layout.nested[field.type], value)
-
-
-def _write_number(data: bytearray, code: str, value: object) -> None:
-    data += bytes(-len(data) % struct.calcsize(code))
-    data += struct.pack(code, value)
 
 
 @pytest.mark.parametrize("name", TRANSLATED)
