@@ -126,7 +126,6 @@ class _Module:
 
     def __init__(self, *, reads_cdr: bool) -> None:
         self.reads_cdr = reads_cdr
-        self.state = "o" if reads_cdr else "o, d"
         self.is_copy = False
         self._functions: dict[Layout, str] = {}
         self._lines: list[str] = []
@@ -149,14 +148,18 @@ class _Module:
         exec("\n".join(self._lines), names)  # noqa: S102 - the source has only numbers of a definition, no text
         return cast("_Translate", names["translate"])
 
-    def add_element(self, layout: Layout) -> str:
-        """Add the function that translates one element at an offset. Return its name."""
-        if layout not in self._functions:
-            name = self._functions[layout] = f"element_{len(self._functions)}"
-            body = _Body(self, 1)
-            body.add_message(layout)
-            self._lines += [f"def {name}(b, {self.state}, size, p):", *body.finish(), f" return {self.state}"]
-        return self._functions[layout]
+    def element(self, layout: Layout) -> list[str]:
+        """Return the body of a loop over elements. Messages have a function: Python limits how deep loops nest."""
+        state = "o" if self.reads_cdr else "o, d"
+        if layout in self._functions:
+            return [f" {state} = {self._functions[layout]}(b, {state}, size, p)"]
+        body = _Body(self, 1)
+        body.add_message(layout)
+        if layout is _TEXT:
+            return body.finish()
+        name = self._functions[layout] = f"element_{len(self._functions)}"
+        self._lines += [f"def {name}(b, {state}, size, p):", *body.finish(), f" return {state}"]
+        return self.element(layout)
 
 
 def _check_rest(payload: bytes, end: int, is_exact: bool) -> None:
@@ -268,7 +271,6 @@ class _Body:
     def _add_elements(self, layout: Layout, field: Field) -> None:
         """Add a list or an array of texts, or of messages that are not only copied."""
         element = _TEXT if field.type == "string" else layout.nested[field.type]
-        name = self._module.add_element(element)
         count = str(field.array_length)
         if field.array_length == VARIABLE:
             self._read_count()
@@ -279,8 +281,7 @@ class _Body:
             self._lines += ["p.append(b[o:o + 4])", "o += 4"]
             count = "n"
         self._close_run()
-        state = self._module.state
-        self._lines += [f"for _ in range({count}):", f" {state} = {name}(b, {state}, size, p)"]
+        self._lines += [f"for _ in range({count}):", *self._module.element(element)]
         has_empty = element.room > element.minimum_bytes  # messages without fields, each of which is a byte in CDR
         if has_empty and not self._module.reads_cdr:
             self._refuse_if(f"o + d > {ENCODED_BYTES_MAX}", f"more than {ENCODED_BYTES_MAX} bytes in CDR", indent=" ")
