@@ -2,6 +2,7 @@
 
 import contextlib
 from random import Random
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -132,7 +133,7 @@ def test_types_that_ros_2_has_changed_are_those_that_are_refused() -> None:
     assert differing == {RANGE, *(TYPES.keys() - set(TRANSLATED))}
 
 
-def is_same(known: MessageType, name: str, fielddefs: dict) -> bool:  # type: ignore[type-arg]
+def is_same(known: MessageType, name: str, fielddefs: dict[str, Any]) -> bool:
     ros2 = ros2_layout(lambda each: dict(fielddefs[each][1]), name)
     return ros1_layout(fields_of(known).get, known.name) == ros2
 
