@@ -106,7 +106,7 @@ def micro_ros(catalog: Catalog) -> World:
 
 
 def rosserial(catalog: Catalog) -> DeviceSession:
-    """The same device with rosserial."""
+    """A device with the same topic and service that speaks rosserial."""
     session = ROSSERIAL.session(catalog)
     session.open(now_s=0.0)
     type_, service = catalog.message("my_msgs/Own"), catalog.service("my_msgs/Ask")
