@@ -203,7 +203,8 @@ class XrceSession(DeviceSession):
             else:
                 self.counts.frames_from_device += 1
                 self._read(message, now_s, found)
-        self._put_acks(now_s)
+        if self._acks:
+            self._put_acks(now_s)
         self._release(now_s)
         return found
 
@@ -889,6 +890,11 @@ class XrceSession(DeviceSession):
             return
         id_ = endpoint_id(client.slot, written.id)
         endpoint = self._by_key.get(id_) if self._announce_s == math.inf else None
+        if endpoint is not None and written.kind == ObjectKind.DATAWRITER and client.is_confirmed and not self._refused:
+            payload = self._payload(endpoint, submessage.payload[REQUEST_BYTES:])  # nearly always
+            if payload is not None:
+                found.append(events.MessageReceived(endpoint, payload))
+            return
         if endpoint is None:
             endpoint = DeviceEndpoint(ENDPOINTS[written.kind][0], id_, *client.objects.name_and_type(written))
         if not client.is_confirmed:
@@ -1032,7 +1038,7 @@ class XrceSession(DeviceSession):
     def _release(self, now_s: float) -> None:
         """Queue what the clients' history, their requests and the pace they want permit now."""
         for client in self._clients.values():
-            is_released = True
+            is_released = bool(client.waiting or client.samples)
             while is_released:
                 for each in client.due_messages(now_s):
                     self._put(each)
