@@ -84,7 +84,7 @@ class UdpConfig:
         return [_device_address(text) for text in self.devices]
 
 
-MICRO_ROS = "micro-ros"  # as a protocol in settings
+ROSSERIAL, MICRO_ROS = "rosserial", "micro-ros"  # protocols, as settings name them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,6 +133,7 @@ class MicroRosConfig:
     velocity_stream: Literal[0, 1] = 0  # 1: for clients that refuse messages without a number
 
 
+AUTO = "auto"  # as the protocol of a serial port: rosserial or micro-ROS, as its bytes tell
 _RATE_IN_PATH = re.compile(r"(.+):(\d{3,9})")  # "/dev/ttyUSB0:115200"; a name in by-path ends with ":1.0-port0"
 
 
@@ -147,7 +148,7 @@ class SerialConfig:
     on_open: Literal["leave", "reset"] = "leave"  # DTR line of the board: leave it, or reset the board
     dtr: bool = True  # lines while the port is open; both on hold some boards in reset, for example an ESP32-CAM-MB
     rts: bool = True
-    protocol: str = "rosserial"
+    protocol: str = AUTO
 
     def __post_init__(self) -> None:
         if (self.path is None) == (self.usb_serial is None):

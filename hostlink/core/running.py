@@ -177,6 +177,8 @@ async def _datagrams(
     acceptor = UdpAcceptor(hub, config)
     async with (
         serve_udp(config, hub.counts.datagrams_dropped, acceptor.receive, option) as ports,
-        meanwhile(("invitations over UDP", acceptor.invite(ports))),
+        meanwhile(
+            ("invitations over UDP", acceptor.invite(ports)), ("remembered devices over UDP", acceptor.resume(ports))
+        ),
     ):
         yield ports[0].address[:2]

@@ -2,14 +2,24 @@
 
 import asyncio
 import contextlib
+import os
 import socket
+from collections.abc import Iterator
 
-from hostlink.core.config import Config, MicroRosConfig, MicroRosTcpConfig, MicroRosUdpConfig
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.core.config import Config, MicroRosConfig, MicroRosTcpConfig, MicroRosUdpConfig, SerialConfig
+from hostlink.core.protocol.rosserial.control import encode_topic_info
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
 from hostlink.core.transport.udp import CREDIT_BYTES
 from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import robot_topics
+from tests.support.pty_pair import pty_pair
 from tests.support.waiting import expect
-from tests.support.xrce_device import Device, stock, tcp_board, udp_board
+from tests.support.xrce_device import Device, serial_board, stock, tcp_board, udp_board
 
+TIME_REQUEST = encode(Id.TIME, bytes(8))
 CONFIG = Config(micro_ros=MicroRosConfig(udp=MicroRosUdpConfig(port=0), tcp=MicroRosTcpConfig(port=0)))
 
 
@@ -47,6 +57,20 @@ async def test_board_over_tcp_is_a_robot_that_drives() -> None:
         await check_drives(host, device)
 
 
+async def test_two_equal_boards_with_equal_keys_are_two_robots_named_by_their_node() -> None:
+    async with daemon(CONFIG) as host:
+        address = address_of(host, "udp")
+        async with udp_board(address) as first, udp_board(address) as second:
+            await first.is_at_work()
+            await second.is_at_work()
+            names = ["linorobot_base_node", "linorobot_base_node_2"]
+            await expect(lambda: sorted(each.name for each in host.hub.robots.here()) == names)
+            await host.drive(host.hub.robots.here()[1].name, b'{"linear": 0.2, "angular": 0}')
+            await expect(lambda: any(speed > 0.1 for each in (first, second) for _, speed in each.stock.taken))
+            driven = [any(speed > 0.1 for _, speed in each.stock.taken) for each in (first, second)]
+            assert sorted(driven) == [False, True]
+
+
 async def test_board_at_an_unverified_address_gets_no_more_bytes_than_it_sends_and_drives() -> None:
     config = Config(micro_ros=MicroRosConfig(udp=MicroRosUdpConfig(port=0, trusted=())))
     async with daemon(config) as host, udp_board(address_of(host, "udp")) as device:
@@ -74,6 +98,53 @@ async def test_other_datagrams_open_nothing() -> None:
                 connection.sendto(data, address_of(host, "udp"))
             await expect(lambda: host.hub.counts.datagrams_dropped == {"not_micro_ros": 3})
         assert not host.hub.links.all()
+
+
+@contextlib.contextmanager
+def serial_port() -> Iterator[tuple[int, str]]:
+    """The device's end of a port, which does not block, and the port's path."""
+    with pty_pair() as (descriptor, path):
+        os.set_blocking(descriptor, False)
+        yield descriptor, path
+
+
+@pytest.mark.parametrize("protocol", ["auto", "micro-ros"])
+async def test_board_at_a_serial_port_is_a_robot_that_drives(protocol: str) -> None:
+    with serial_port() as (descriptor, path):
+        config = Config(serial=(SerialConfig(path=path, baud=115200, protocol=protocol),))
+        async with daemon(config) as host, serial_board(descriptor) as device:
+            await device.is_at_work()
+            await check_drives(host, device)
+            assert host.hub.links.all()[0].session.protocol == "micro-ROS"
+            assert not host.hub.diagnoses.ended
+
+
+async def test_rosserial_and_micro_ros_take_turns_at_one_port_that_stays_open() -> None:
+    with serial_port() as (descriptor, path), capture_logs() as lines:
+        async with daemon(Config(serial=(SerialConfig(path=path, baud=115200),))) as host:
+            for count in (1, 2):
+                async with serial_board(descriptor) as device:
+                    await device.is_at_work()
+                    await expect(lambda: protocols_of_robots(host) == ["micro-ROS"])
+                rosserial = asyncio.get_running_loop()
+                rosserial.add_reader(descriptor, announce, descriptor)
+                await expect(lambda: protocols_of_robots(host) == ["rosserial"])
+                rosserial.remove_reader(descriptor)
+                found = [line["protocol"] for line in lines if line["event"] == "serial.protocol_found"]
+                assert found == ["micro-ROS", "rosserial"] * count
+        assert not [line for line in lines if line["event"] == "serial.waiting"]
+
+
+def protocols_of_robots(host: Daemon) -> list[str]:
+    """The protocol of each connected robot."""
+    return [each.link.session.protocol for each in host.hub.robots.here() if each.link is not None]
+
+
+def announce(descriptor: int) -> None:
+    """Announce the topics of a rosserial device, when the host asks for them."""
+    if TOPICS_REQUEST in os.read(descriptor, 4096):
+        topics = (encode(each.kind, encode_topic_info(each)) for each in robot_topics())
+        os.write(descriptor, b"".join((TIME_REQUEST, *topics, TIME_REQUEST)))
 
 
 async def pinged(address: tuple[str, int]) -> bool:

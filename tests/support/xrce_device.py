@@ -68,7 +68,8 @@ class Device:
             if left_s <= 0:
                 return None
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._came.wait(), left_s)
+                async with asyncio.timeout(left_s):
+                    await self._came.wait()
         return self._inbox.popleft()
 
     async def is_at_work(self) -> None:

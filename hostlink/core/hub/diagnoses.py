@@ -175,9 +175,13 @@ class Diagnoses:
         diagnosis.monitor.observe(event, now_s, has_waited=not self._pauses(now_s).has_recovered(now_s))
 
     def finish(self, link: Link, end: LinkEnd) -> None:
-        """End a link's diagnosis. It is kept among the last ENDED_LINKS, with the link's buffers."""
+        """End a link's diagnosis. It is kept among the last ENDED_LINKS, with the link's buffers.
+
+        Except that of a link that only found out which protocol its device speaks.
+        """
         diagnosis = self._live.pop(link.number, None)
-        if diagnosis is not None:
+        is_guess = end is LinkEnd.OTHER_PROTOCOL and not link.session.counts.frames_from_device
+        if diagnosis is not None and not is_guess:
             diagnosis.end, diagnosis.ended_at_s = end, loop_time_s()
             pauses = self._pauses(diagnosis.ended_at_s)
             diagnosis.was_host_away = pauses.was_paused(diagnosis.ended_at_s - AWAY_S)

@@ -13,6 +13,7 @@ from structlog.contextvars import bind_contextvars, unbind_contextvars
 from hostlink.core.config import Config, LinkConfig
 from hostlink.core.hub.device import Device, ShownNames
 from hostlink.core.hub.device_calls import DeviceCalls
+from hostlink.core.hub.memories import Memories
 from hostlink.core.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.hub.robot_settings import command_settings
@@ -32,6 +33,7 @@ from hostlink.core.robot.model import (
     find_robot,
     misfit,
     name_of,
+    name_of_node,
     namespace_of,
     suggest,
     suggestion,
@@ -72,6 +74,7 @@ class Links:
         self.undelivered = 0  # dropped messages of devices that were not identified yet
         self.late_answers = 0  # answers of devices' services after the timeout of the call
         self.on_named: Callable[[], None] = lambda: None  # called when a robot has its name
+        self.memories = Memories()
         self._shared, self._robots, self._devices = shared, robots, robots.devices
         self._robot_topics, self._log_in_graph = robot_topics, log_line
         self._directory = Directory(addresses_of(shared.config), commands_by_name(shared.config))
@@ -96,11 +99,15 @@ class Links:
     # -- connections --------------------------------------------------------------------------------------------------
 
     def open(self, transport: Transport, protocol: DeviceProtocol, link_config: LinkConfig | None = None) -> Link:
-        """Create the link of one connection, whose device speaks this protocol. `serve` must follow."""
+        """Create the link of one connection, whose device speaks this protocol. `serve` must follow.
+
+        It goes on where the last one with this device ended, if there is a memory of it.
+        """
         shared = self._shared
         config = shared.config.link if link_config is None else link_config
-        session = protocol.session(
+        session = protocol.resumed(
             shared.catalog,
+            self.memories.of(protocol, transport.kind, transport.peer, transport.address),
             uart_bytes_s=self._uart_bytes_s(transport, config),
             max_topics=config.max_topics,
             is_lossy=transport.kind == "udp",
@@ -307,6 +314,7 @@ class Links:
     def _forget(self, link: Link) -> None:
         """Remove the device of a link that ended or was replaced."""
         device = self._devices.pop(link.number, None)
+        self.memories.leave(link)
         self._capture_room.divide(len(self._devices))
         if device is not None:
             self.undelivered += len(device.early)
@@ -329,6 +337,7 @@ class Links:
             now_s=asyncio.get_running_loop().time(),
             peer=link.peer,
             announced=infos,
+            node=link.session.node,
         )
         if isinstance(claim, Undecided):
             self._wait(device, claim)
@@ -517,6 +526,7 @@ class Links:
         if robot is None:
             return "", settings
         own = "" if found is None else found.name
+        node = name_of_node(link.session.node)
         if chosen == robot.name:
             return f"[robots.{chosen}] in hostlink.toml", settings
         if own and robot.name == own:
@@ -524,6 +534,9 @@ class Links:
             return f"the {'namespace' if namespace_of(command) else 'name'} of its command {command}", settings
         if own:
             return f"its command {robot.topics.velocity}, with a number: another device has the name {own}", settings
+        if node:
+            numbered = "" if robot.name == node else f", with a number: another device has the name {node}"
+            return f"the node {link.session.node} of its device{numbered}", settings
         return (
             f"a number, which is kept for {link.address}: its command {robot.topics.velocity} tells no name",
             settings,

@@ -32,6 +32,7 @@ class LinkEnd(Enum):
     EVICTED = "evicted"
     UNAUTHENTICATED = "unauthenticated"
     STOPPED = "stopped"
+    OTHER_PROTOCOL = "other_protocol"  # the device at a serial port speaks another one
     BROKEN = "broken"
     CRASHED = "crashed"
     UNANSWERABLE = "unanswerable"  # the device waits for an answer that its buffer cannot hold

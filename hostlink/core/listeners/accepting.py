@@ -11,11 +11,13 @@ from functools import partial
 
 import structlog
 
-from hostlink.core.config import LinkConfig, SerialConfig, TcpConfig, UdpConfig
+from hostlink.core.config import AUTO, MICRO_ROS, ROSSERIAL, LinkConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import Authenticate, LinkEnd, trust
+from hostlink.core.listeners.turns import Turn
 from hostlink.core.protocol.registry import find_protocol
+from hostlink.core.protocol.session import DeviceProtocol
 from hostlink.core.runtime.acceptor import EXHAUSTED
 from hostlink.core.runtime.listening import spelled
 from hostlink.core.runtime.log_budget import Budget
@@ -208,6 +210,7 @@ OPENED_A_SECOND = 20.0  # new sessions of each kind, and burst size: each costs 
 # Answers without a session, of each kind. They are a fifth longer than what asks for them, with the headers of both: to
 # forged addresses no more than 11 kB/s.
 PINGS_A_SECOND = 200.0
+RESUME_S = 0.1  # between two remembered devices: half of the openings are left to others
 INVITE_S = 2.0  # the interval at which a link repeats an unanswered topic request
 
 
@@ -241,7 +244,11 @@ class UdpAcceptor(_Acceptor):
         if session is not None:
             session.transport.feed(datagram.data)
             return False
+        peer, memories = spelled(*datagram.source[:2]), self._hub.links.memories
         if self._is_greeting(datagram):
+            memories.forget(self._protocol, "udp", peer)
+            return self._open(port, datagram)
+        if memories.has(self._protocol, "udp", peer):
             return self._open(port, datagram)
         if self._is_answered(port, datagram):
             return False
@@ -258,6 +265,16 @@ class UdpAcceptor(_Acceptor):
                 if port is not None and address not in self._sessions:
                     port.send(self._protocol.invitation, address)
             await asyncio.sleep(INVITE_S)
+
+    async def resume(self, ports: Sequence[UdpPort]) -> None:
+        """Open a session with each device that is remembered: some of them only listen."""
+        for peer in self._hub.links.memories.peers(self._protocol, "udp"):
+            host, _, number = peer.rpartition(":")
+            address = host.strip("[]"), int(number)
+            port = next((each for each in ports if (":" in each.address[0]) == (":" in address[0])), None)
+            if port is not None and address not in self._sessions and self._admission.allows(address[0]):
+                self._open(port, Datagram(b"", address, port.address))
+                await asyncio.sleep(RESUME_S)
 
     def _is_greeting(self, datagram: Datagram) -> bool:
         return (
@@ -369,17 +386,48 @@ async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None
         return error.strerror or str(error)
     hub.diagnoses.observe_port(config.name, None)
     on_open()
-    link = hub.links.open(transport, find_protocol(config.protocol), _link_config(hub, config))
-    hub.diagnoses.observe_baud(link, config.bauds[0])
-    async with asyncio.TaskGroup() as tasks:
-        helpers = (
-            tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}"),
-            tasks.create_task(_watch_sharing(hub, transport, link), name=f"other programs at {config.name}"),
-        )
-        await hub.links.serve(link)
-        for helper in helpers:
-            helper.cancel()
-    return ""
+    protocols, found = _protocols_of(hub, config), b""
+    while True:
+        protocol, other = protocols[0], protocols[-1]
+        turn = Turn(transport, other, first=found)
+        link = hub.links.open(transport if protocol is other else turn, protocol, _link_config(hub, config))
+        turn.count_own, turn.on_other = partial(_frames_of, link), partial(link.end, LinkEnd.OTHER_PROTOCOL)
+        hub.diagnoses.observe_baud(link, transport.baud)
+        async with asyncio.TaskGroup() as tasks:
+            helpers = (
+                tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}"),
+                tasks.create_task(_watch_sharing(hub, transport, link), name=f"other programs at {config.name}"),
+                tasks.create_task(_invite(transport, link, other), name=f"invitation at {config.name}"),
+            )
+            await hub.links.serve(link)
+            for helper in helpers:
+                helper.cancel()
+        found = turn.taken
+        if not found:
+            return ""
+        hub.links.memories.forget(protocol, "serial", "", config.name)
+        log.info("serial.protocol_found", port=config.name, protocol=other.name)
+        protocols.reverse()
+
+
+def _protocols_of(hub: Hub, config: SerialConfig) -> list[DeviceProtocol]:
+    """Return the protocols that take turns at a port, the likeliest first."""
+    names = (ROSSERIAL, MICRO_ROS) if config.protocol == AUTO else (config.protocol,)
+    stream, memories = hub.config.micro_ros.velocity_stream, hub.links.memories
+    protocols = [find_protocol(each, "serial", velocity_stream=stream) for each in names]
+    return sorted(protocols, key=lambda each: not memories.has(each, "serial", "", config.name))
+
+
+def _frames_of(link: Link) -> int:
+    return link.session.counts.frames_from_device
+
+
+async def _invite(transport: SerialTransport, link: Link, other: DeviceProtocol) -> None:
+    """Invite a device of the other protocol that waits to be invited, while the port is silent."""
+    while other.name != link.session.protocol and other.invitation:
+        await asyncio.sleep(INVITE_S)
+        if link.silent_s >= INVITE_S:
+            transport.write(other.invitation)
 
 
 def _link_config(hub: Hub, config: SerialConfig) -> LinkConfig:
@@ -413,9 +461,9 @@ async def _watch_sharing(hub: Hub, transport: SerialTransport, link: Link) -> No
 
 async def _try_bauds(hub: Hub, transport: SerialTransport, link: Link, config: SerialConfig) -> None:
     """Try the baud rates in turn until a whole frame was received."""
-    if len(config.bauds) == 1:
-        return
-    for baud in itertools.cycle(config.bauds):
+    at = config.bauds.index(transport.baud)
+    rates = config.bauds[at:] + config.bauds[:at]
+    for baud in itertools.cycle(rates) if len(rates) > 1 else ():
         log.debug("serial.baud_tried", port=config.name, baud=baud)
         try:
             transport.set_baud(baud)

@@ -366,6 +366,12 @@ def name_of(command: str, odometry: str = "") -> str:
     return re.sub(r"\W", "_", name, flags=re.ASCII)[:LONGEST_NAME]
 
 
+def name_of_node(node: str) -> str:
+    """Return the name of the robot whose device has this node: the node's namespace, else its own name."""
+    *namespace, name = _parts(node) or [""]
+    return re.sub(r"\W", "_", "_".join(namespace) or name, flags=re.ASCII)[:LONGEST_NAME]
+
+
 def motion_of(command: str) -> str:
     """Return what a topic commands. Topics of one motion are ways to command the same thing, as a base.
 

@@ -19,6 +19,7 @@ from hostlink.core.robot.model import (
     find_robot,
     has_command,
     matched,
+    name_of_node,
     select,
 )
 from hostlink.core.robot.parts import Membership, place_in, takes_velocity
@@ -485,8 +486,12 @@ class Directory:
         now_s: float,
         peer: str = "",
         announced: Hashable = None,
+        node: str = "",
     ) -> Accepted | Undecided:
-        """A device has announced its topics (again); `announced`: all of it, if that is more than the topics."""
+        """A device has announced its topics (again); `announced`: all of it, if that is more than the topics.
+
+        `node`: name of its node, if it has one, which names a robot whose topics tell no name.
+        """
         self.presence(link).note_read(now_s)
         robot, settings = self.find(topics, Origin("", address, peer))
         member = self.member(topics, Origin("", address, peer))
@@ -494,6 +499,8 @@ class Directory:
             robot = None
         if is_played(topics):
             address = peer = PLAYED
+        if robot is not None and not robot.name and (name := name_of_node(node)):
+            robot = replace(robot, name=name)
         is_unnamed = robot is not None and not robot.name
         if robot is not None and is_unnamed:
             own = UNNAMED if self._names.places.is_configured(UNNAMED) else f"{UNNAMED}_0"

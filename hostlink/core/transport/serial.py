@@ -196,6 +196,11 @@ class SerialTransport(StreamTransport):
         super().__init__(peer=peer, address=address)
         self._port = port
 
+    @property
+    def baud(self) -> int:
+        """The baud rate of the port."""
+        return self._port.baud
+
     def set_baud(self, baud: int) -> None:
         """Change the baud rate. The port stays open, because reopening may reset the board."""
         self._port.set_baud(baud)
@@ -257,6 +262,10 @@ class _Port:
 
     def fileno(self) -> int:
         return int(self._port.fileno())
+
+    @property
+    def baud(self) -> int:
+        return int(self._port.baudrate)
 
     def set_baud(self, baud: int) -> None:
         try:

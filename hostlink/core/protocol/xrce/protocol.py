@@ -6,9 +6,9 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.session import DeviceProtocol
 from hostlink.core.protocol.xrce.framing import DatagramFraming, Framing, LengthFraming, SerialFraming
 from hostlink.core.protocol.xrce.payloads import Payloads
-from hostlink.core.protocol.xrce.resume import SessionState
+from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import NAME, XrceSession
-from hostlink.core.protocol.xrce.wire import NO_STREAM, answer_ping, is_create_client
+from hostlink.core.protocol.xrce.wire import NO_STREAM, answer_ping, decode_message, is_create_client
 
 
 class Xrce(DeviceProtocol):
@@ -35,13 +35,19 @@ class Xrce(DeviceProtocol):
         *,
         uart_bytes_s: int | None = None,
         max_topics: int = 256,
-        is_lossy: bool = False,  # noqa: ARG002 - losses are repaired on every transport
+        is_lossy: bool = False,
     ) -> XrceSession:
         """Create the session of a new connection."""
-        return self.resumed(catalog, None, uart_bytes_s=uart_bytes_s, max_topics=max_topics)
+        return self.resumed(catalog, "", uart_bytes_s=uart_bytes_s, max_topics=max_topics, is_lossy=is_lossy)
 
     def resumed(
-        self, catalog: Catalog, state: SessionState | None, *, uart_bytes_s: int | None = None, max_topics: int = 256
+        self,
+        catalog: Catalog,
+        memory: str,
+        *,
+        uart_bytes_s: int | None = None,
+        max_topics: int = 256,
+        is_lossy: bool = False,  # noqa: ARG002 - losses are repaired on every transport
     ) -> XrceSession:
         """Create the session of a connection that may go on where an earlier one ended."""
         return XrceSession(
@@ -50,12 +56,16 @@ class Xrce(DeviceProtocol):
             uart_bytes_s=uart_bytes_s,
             max_topics=max_topics,
             velocity_stream=self._velocity_stream,
-            state=state,
+            state=read_state(memory),
         )
 
     def is_greeting(self, data: bytes) -> bool:
         """Whether the bytes create a client."""
         return any(map(is_create_client, self._framing().feed(data)))
+
+    def is_in(self, data: bytes) -> bool:
+        """Whether the bytes contain a message of any client, or a ping."""
+        return any(decode_message(each) is not None for each in self._framing().feed(data))
 
     def answer_ping(self, data: bytes) -> bytes:
         """Return the answer to pings that need no link; empty if there are none."""

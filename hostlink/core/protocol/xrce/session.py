@@ -82,6 +82,7 @@ LATE_CREATION_S: Final = 2.0  # a CREATE_CLIENT of the session before is a late 
 ACKNOWLEDGING_S: Final = 0.5  # a resumed client with a reliable stream acknowledges something until then
 EVIDENCE: Final = 3  # messages that fit the state of one without
 RESUMED_NUMBERS_MAX: Final = 8192  # that may have passed since the state was stored
+STORED_BITS: Final = 11  # a state is stored again when 2,048 numbers have passed
 FAR_NUMBERS: Final = 0x4000
 ZEROS_BYTES: Final = 64  # of a response whose layout is unknown
 CALLS_MAX: Final = 16  # of one service client or service of the device, waiting
@@ -439,7 +440,7 @@ class XrceSession(DeviceSession):
             message = self._velocity(client, endpoint, content)
             client.zeros.pop(endpoint.id, None)
             client.samples.pop(object_id(endpoint), None)
-            if client.is_slow and client.flying_until_s > self._now_s:
+            if client.is_listening(self._now_s) or (client.is_slow and client.flying_until_s > self._now_s):
                 self.outbox.replaced += endpoint.id in client.held
                 client.held[endpoint.id] = (message, is_kept)
             else:
@@ -1144,8 +1145,23 @@ class XrceSession(DeviceSession):
 
     # -- going on after a restart of the host -------------------------------------------------------------------------
 
+    @property
+    def memory_version(self) -> int:
+        """Number that changes when `memory` is worth keeping: with the objects, and while numbers pass."""
+        if not self.state_version:
+            return 0
+        return self.state_version << 8 | sum(each.output.first >> STORED_BITS for each in self._clients.values()) & 0xFF
+
+    def memory(self) -> str:
+        """Return the state as text; empty if there is nothing to go on with."""
+        state = self.state()
+        return state.to_json() if state.clients else ""
+
     def state(self) -> SessionState:
-        """Return what a later session needs to go on. It changed when `state_version` did."""
+        """Return what a later session needs to go on. It changed when `state_version` did.
+
+        It has also what is resumed, and waits for its board.
+        """
         return SessionState(
             tuple(
                 ClientState(
@@ -1155,7 +1171,7 @@ class XrceSession(DeviceSession):
                     tuple(payload for id_, payload in each.reads.items() if id_ in each.objects.by_id),
                 )
                 for each in self._clients.values()
-                if each.is_confirmed
+                if each.is_confirmed or each.is_resumed
             )
         )
 

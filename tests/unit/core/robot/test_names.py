@@ -906,3 +906,28 @@ def test_new_places_that_name_the_same_parts_leave_the_name_of_a_robot_of_severa
     ours.leave(1)
     assert ours.directory.misplaced(others) == {}  # a part that connects will have it
     assert ours.directory.misplaced(Places({"r": AWAY})) == {"r": None}
+
+
+@pytest.mark.parametrize(
+    ("command", "node", "name"),
+    [
+        ("/cmd_vel", "linorobot_base_node", "linorobot_base_node"),
+        ("/cmd_vel", "/bot 1/base", "bot_1"),
+        ("/left/cmd_vel", "base", "left"),
+        ("/cmd_vel", "", "robot_0"),
+        ("/cmd_vel", "//", "robot_0"),
+    ],
+)
+def test_robot_is_named_by_its_velocity_s_namespace_or_its_node_and_never_by_its_odometry(
+    command: str, node: str, name: str
+) -> None:
+    topics = [to_device(command), from_device("/odom/unfiltered", ODOMETRY)]
+    directory = Directory({})
+    accepted = directory.claim(1, HOME, topics, now_s=0.0, node=node)
+    assert isinstance(accepted, Accepted)
+    assert accepted.robot is not None
+    assert accepted.robot.name == name
+    again = directory.claim(2, AWAY, topics, now_s=0.1, node=node)
+    assert isinstance(again, Accepted)
+    assert again.robot is not None
+    assert again.robot.name != name
