@@ -221,7 +221,7 @@ format: $(VENV)/.dev
 
 bench: $(VENV)/.dev $(ROS2_VENV)/.installed
 	@tools/require.sh $(ROS1_PACKAGES)
-	@status=0; for part in link api crowd messages black_box recording ros2 ros1; do \
+	@status=0; for part in link api crowd messages micro_ros black_box recording ros2 ros1; do \
 	  echo "== $$part"; $(BIN)/python tools/bench_$$part.py || status=1; done; exit $$status
 
 # So many examples last longer than the two minutes that other tests have.

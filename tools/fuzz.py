@@ -19,7 +19,7 @@ CORPUS = ROOT / "tests" / "corpus"
 FOUND = ROOT / "build" / "fuzz"
 MAX_BYTES = 512
 HEADERS = "headers"
-NAMES = ("stream", "session", "control", "codec", HEADERS)
+NAMES = ("stream", "session", "control", "codec", "cdr", HEADERS)
 
 
 def main() -> int:

@@ -13,7 +13,7 @@ import typer
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.figures import finding_lines
+from hostlink.cli.figures import finding_lines, place
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import duration, quantity, show_progress, write, write_error
 from hostlink.client import DEFAULT_URL
@@ -51,7 +51,8 @@ def rates(counts: dict[str, Any], seconds: float) -> Report:
 
 
 def _live(link: dict[str, Any], robot: Report | None) -> Report:
-    known = {key: link[key] for key in ("number", "transport", "peer", "robot", "seconds", "diagnosis", "silent_s")}
+    keys = ("number", "transport", "protocol", "peer", "robot", "seconds", "diagnosis", "silent_s")
+    known = {key: link[key] for key in keys if key in link}
     names = sorted({info["name"] for info in link["topics"]})
     odometry = None if robot is None else robot["odometry"]
     return {
@@ -104,7 +105,7 @@ def _link_lines(link: Report) -> Iterator[str]:
     robot = f"  {link['robot']}" if link.get("robot") else ""
     well = "" if link["diagnosis"] else "  nothing was wrong" if link["end"] else "  healthy"
     topics = quantity(link["topics"], "topic")
-    yield f"link {link['number']}  {link['peer']}{robot}  ({state}, {topics}{baud}{way}){well}"
+    yield f"link {link['number']}  {place(link)}{robot}  ({state}, {topics}{baud}{way}){well}"
     yield from (f"  {line}" for found in link["diagnosis"] for line in finding_lines(found))
     if link.get("frames_from_device_s"):
         yield f"  {_rates_line(link)}"

@@ -3,6 +3,8 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
+from hostlink.cli.figures import place
+
 ROLES = {  # by the roles of a device's topics; commands, velocities and feedback have sentences of their own
     "unguarded": "topics that look like commands, and that nothing guards",
     "locked": "topics that a lock refuses, by locked_topics",
@@ -48,7 +50,7 @@ def warnings(devices: Iterable[Mapping[str, Any]], lock_reason: str | None) -> l
 
 
 def _place(device: Mapping[str, Any]) -> str:
-    return f"link {device['link']} ({device['peer']})"
+    return f"link {device['link']} ({place(device)})"
 
 
 def _of_device(device: Mapping[str, Any], driven: Collection[str]) -> Iterator[str]:

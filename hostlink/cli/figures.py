@@ -13,6 +13,7 @@ LINK_COLUMNS = ("link", "peer", "robot", "topics", "from/s", "to/s", "bytes/s", 
 ROBOT_COLUMNS = ("robot", "link", "driven by", "m/s", "rad/s", "x m", "y m", "deg", "Hz", "age s")
 MOTION_COLUMNS = ("command", "knows its motion by")
 DEVICE_COLUMNS = ("battery", "dBm", "errors", "firmware")  # more columns of a robot, shown if any robot has a value
+USUAL_PROTOCOL = "rosserial"
 _DEGREES = 57.29577951308232
 
 
@@ -36,8 +37,15 @@ def figures(before: Snapshot, now: Snapshot) -> dict[str, Any]:
         seconds = now.at_s - before.at_s if link["number"] in earlier else link["seconds"]
         rates = _rates(earlier.get(link["number"], {}), link, max(seconds, 1e-3))
         known = {key: link[key] for key in ("number", "peer", "silent_s", "seconds", "diagnosis")}
+        known["protocol"] = link.get("protocol", USUAL_PROTOCOL)  # an older daemon does not tell it
         links.append(known | rates | {"topics": len(link["topics"]), "robots": names.get(link["number"], [])})
     return {"links": links, "robots": now.robots, "ended": now.links["ended"], "ports": now.links["ports"]}
+
+
+def place(link: Mapping[str, Any]) -> str:
+    """Return where a device connects from, and its protocol if that is not rosserial."""
+    protocol = link.get("protocol", USUAL_PROTOCOL)
+    return str(link["peer"]) if protocol == USUAL_PROTOCOL else f"{link['peer']} {protocol}"
 
 
 def _rates(before: dict[str, Any], now: dict[str, Any], seconds: float) -> dict[str, float]:
@@ -58,7 +66,7 @@ def link_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
     return [
         (
             str(link["number"]),
-            link["peer"],
+            place(link),
             ", ".join(link["robots"]) or "-",
             str(link["topics"]),
             f"{link['frames_from_device_s']:.1f}",

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.cdr import cdr_of
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.events import TopicsRequested
 from hostlink.core.protocol.rosserial import control
@@ -30,6 +31,7 @@ TYPES = [
     )
     if (found := CATALOG.message(name)) is not None
 ]  # fmt: skip
+TRANSLATED = [cdr_of(type_) for type_ in TYPES if type_.name != "rosgraph_msgs/Log"]  # ROS 2 has another
 
 
 def stream(data: bytes) -> None:
@@ -109,9 +111,23 @@ def codec(data: bytes) -> None:
     assert type_.encode(type_.decode(again)) == again
 
 
+def cdr(data: bytes) -> None:
+    """CDR and bytes of ROS 1 are translated or refused; what is translated is the same when it is translated back."""
+    if not data:
+        return
+    type_, payload = TRANSLATED[data[0] % len(TRANSLATED)], data[1:]
+    with contextlib.suppress(BadPayload):
+        ros1 = type_.to_ros1(payload)
+        assert type_.to_ros1(type_.from_ros1(ros1)) == ros1
+    with contextlib.suppress(BadPayload):
+        ros2 = type_.from_ros1(payload)
+        assert type_.from_ros1(type_.to_ros1(ros2)) == ros2
+
+
 TARGETS: dict[str, Callable[[bytes], None]] = {
     "stream": stream,
     "session": session,
     "control": control_payloads,
     "codec": codec,
+    "cdr": cdr,
 }

@@ -51,7 +51,14 @@ class State:
     is_lost: bool = False  # nothing answers
     late_s: float = 0.0  # how long the events are on their way
     listening: dict[str, Any] = field(
-        default_factory=lambda: {"tcp": None, "udp": None, "serial": [], "simulate": None, "address": None}
+        default_factory=lambda: {
+            "tcp": None,
+            "udp": None,
+            "micro_ros": [],
+            "serial": [],
+            "simulate": None,
+            "address": None,
+        }
     )  # where devices connect
     diagnosis: dict[str, Any] = field(default_factory=lambda: {"findings": [], "arrivals": []})
     is_stop_lost: bool = False  # no request that changes something arrives
@@ -328,6 +335,7 @@ def link(name: str, **changes: Any) -> dict[str, Any]:
     view: dict[str, Any] = {
         "number": number + 1,
         "transport": "tcp",
+        "protocol": "rosserial",
         "peer": f"10.0.0.{number + 1}:50000",
         "robot": name,
         "silent_s": 0.01,

@@ -373,6 +373,24 @@ async def test_a_phone_without_a_robot_shows_all_of_what_to_do(browser: Browser)
         await expect_page(tab.page.locator("#joystick")).to_be_in_viewport()
 
 
+async def test_micro_ros_is_named_where_it_matters(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        state = State()
+        server.show(state)
+        await tab.shows("#robots .boards", "hostlink serve --micro-ros udp://0.0.0.0:8888")
+        assert await tab.page.locator("#robots .ways", has_text="micro-ROS over").count() == 0
+    async with page_server() as server, visit(browser, server.url) as tab:
+        state.listening |= {"micro_ros": ["udp://192.168.4.1:8888"]}
+        server.show(state)
+        await tab.shows("#robots .ways", "micro-ROS over UDP: 192.168.4.1:8888")
+        await tab.shows("#robots .boards", "set as its agent 192.168.4.1 port 8888, UDP")
+        for protocol, text in (("micro-ROS", "micro-ROS"), ("rosserial", "")):
+            shown = State(robots=[robot("robot_0")], links=[link("robot_0", protocol=protocol)])
+            server.show(shown)
+            await expect_page(tab.page.locator("#link .firmware")).to_have_text(text)
+        assert await tab.faults() == []
+
+
 async def test_a_red_notice_of_a_phone_is_not_close_to_the_red_stop(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url, viewport=PHONE) as tab:
         server.show(fleet(2))

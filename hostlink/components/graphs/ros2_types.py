@@ -17,6 +17,7 @@ from rosbags.typesys.base import normalize_fieldname
 
 from hostlink.components.graphs.wire_layout import PLACEHOLDER, ros1_layout, ros2_layout
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.cdr import Cdr
 from hostlink.core.messages.fields import SCALAR, VARIABLE, Field
 from hostlink.core.messages.message_type import MessageType
 from hostlink.core.messages.ros2_names import ros2_type
@@ -121,9 +122,11 @@ class Ros2Types:
         if name not in store.fielddefs:
             self._register(known, name)
         type_hash = store.hash_rihs01(name) if self._has_hashes else NO_HASH
-        to_cdr: Convert = partial(store.ros1_to_cdr, typename=name)
-        from_cdr: Convert = partial(store.cdr_to_ros1, typename=name)
-        if not self._is_same_on_wire(known, name):
+        if self._is_same_on_wire(known, name):
+            cdr = Cdr(known)
+            to_cdr: Convert = partial(cdr.from_ros1, is_encapsulated=True)
+            from_cdr: Convert = partial(cdr.to_ros1, is_encapsulated=True)
+        else:
             shadow = f"{_SHADOW}{known.name.replace('/', '_')}"
             if shadow not in store.fielddefs:
                 self._register(known, shadow)

@@ -9,7 +9,7 @@ from hostlink.core.diagnosis.finding import Finding, finding
 RECENT_S = 60.0
 MAX_ARRIVALS = 16  # kept and shown; the oldest are dropped
 
-NOT_ROSSERIAL = "not_rosserial"
+NOT_ROSSERIAL, NOT_MICRO_ROS = "not_rosserial", "not_micro_ros"
 REFUSALS = {  # causes of docs/service.md, for people
     "not_allowed": "refused: its address is not in the allowed networks (tcp.allow, udp.allow)",
     "too_many_of_address": "refused: this address has too many connections",
@@ -23,6 +23,7 @@ REFUSALS = {  # causes of docs/service.md, for people
     "no_descriptor": "refused: no file descriptor is free",
     "unreachable": "refused: the network reports an error",
     NOT_ROSSERIAL: "sent UDP datagrams that are not rosserial",
+    NOT_MICRO_ROS: "sent UDP datagrams that begin no session of micro-ROS (a board in an older session: reset it)",
 }
 
 
@@ -107,7 +108,7 @@ def daemon_findings(
 def _no_device(refused: Sequence[Arrival], listening: str) -> Finding:
     counts: Counter[str] = Counter()
     for each in refused:
-        if each.cause != NOT_ROSSERIAL:  # of programs, not of devices
+        if each.cause not in {NOT_ROSSERIAL, NOT_MICRO_ROS}:  # of programs, not of devices that are refused
             counts[each.cause] += each.count
     if not counts:
         return finding("no_device", listening)

@@ -1,13 +1,13 @@
 """Evidence of a link, of its serial port and of the host's own clock. Pure; both times are arguments."""
 
 import errno
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hostlink.core.diagnosis.finding import Finding, finding
 from hostlink.core.diagnosis.motion_monitor import NO_MOTION, MotionEvidence
-from hostlink.core.protocol.noise import Noise, explain_unreadable
+from hostlink.core.protocol.link_evidence import NO_COUNTS, Explain, LinkEvidence, Tally, explain_unreadable
 from hostlink.core.runtime.units import NS_PER_S
 
 # -- host clock -------------------------------------------------------------------------------------------------------
@@ -92,20 +92,6 @@ class Complaint(NamedTuple):
     ago_s: float
 
 
-class Tally(NamedTuple):
-    """Counts over some time. `Evidence` has one since the link opened and one of the last RECENT_S."""
-
-    bytes_from_device: int = 0
-    frames: int = 0
-    skipped_bytes: int = 0
-    unknown_ids: int = 0  # since the last negotiation, which explained the earlier ones
-    bad_checksums: int = 0
-    wrong_sizes: int = 0
-
-
-NO_COUNTS = Tally()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """Evidence of one link.
@@ -117,6 +103,7 @@ class Evidence:
     silent_s: float
     total: Tally = NO_COUNTS
     recent: Tally = NO_COUNTS
+    own: tuple[int, ...] = ()  # counts of the protocol alone, of the last RECENT_S
     baud: int | None = None  # of a serial port; None for TCP
     requests: int = 0  # number of topic requests
     negotiated_s: float | None = None  # since the first negotiation
@@ -128,7 +115,7 @@ class Evidence:
     early_noise: bytes = b""  # last bytes skipped before the first negotiation
     skipped: bytes = b""  # recently skipped bytes
     is_outdated: bool = False  # it speaks an older version of its protocol
-    explain_noise: Callable[[Noise], tuple[str, str] | None] = explain_unreadable  # of the device's protocol
+    explain: Explain = explain_unreadable  # the rules of the device's protocol
     refused: tuple[str, ...] = ()  # reasons of refused topics, one text each
     too_small: tuple[str, ...] = ()  # messages that exceed a buffer, one text each
     complaints: Mapping[str, Complaint] = field(default_factory=dict)  # by the code of their finding
@@ -140,19 +127,24 @@ class Evidence:
     motion: MotionEvidence = NO_MOTION  # of the messages that tell how the robot moves
     noted: Mapping[str, str] = field(default_factory=dict)  # what only the hub knows: details by code of their finding
 
-    @property
-    def noise(self) -> Noise:
-        """The bytes that are not of the device's protocol."""
-        return Noise(
+    def of_link(self, *, is_shared: bool) -> LinkEvidence:
+        """Return what the protocol's rules judge. `is_shared`: another program is at the serial port."""
+        return LinkEvidence(
             age_s=self.age_s,
-            is_negotiated=self.negotiated_s is not None,
-            received_bytes=self.recent.bytes_from_device,
-            skipped_bytes=self.recent.skipped_bytes,
-            frames=self.recent.frames,
-            bad_checksums=self.recent.bad_checksums,
-            all_skipped_bytes=self.total.skipped_bytes,
+            silent_s=self.silent_s,
+            total=self.total,
+            recent=self.recent,
+            own=self.own,
+            baud=self.baud,
+            requests=self.requests,
+            negotiated_s=self.negotiated_s,
+            time_requested_s=self.time_requested_s,
+            never_requests_time=self.never_requests_time,
+            time_intervals_s=self.time_intervals_s,
             sample=self.skipped,
             early=self.early_noise,
-            baud=self.baud,
             is_outdated=self.is_outdated,
+            is_shared=is_shared,
+            refused=self.refused,
+            too_small=self.too_small,
         )

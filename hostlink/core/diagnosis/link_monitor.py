@@ -8,23 +8,22 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping
 
 from hostlink.core.diagnosis.evidence import (
-    NO_COUNTS,
     RECENT_S,
     UNSHARED,
     Complaint,
     EarlierLink,
     Evidence,
-    Tally,
 )
 from hostlink.core.diagnosis.motion_monitor import MotionMonitor
 from hostlink.core.protocol import events
+from hostlink.core.protocol.link_evidence import NO_COUNTS, Tally
 from hostlink.core.protocol.session import DeviceSession
 from hostlink.core.runtime.host_pauses import HostPauses
 from hostlink.core.runtime.units import NS_PER_S
 
 SAMPLE_INTERVAL_S = 1.0
 MAX_SAMPLES = int(RECENT_S / SAMPLE_INTERVAL_S) + 1
-_COLUMNS = 1 + len(Tally._fields)  # time and counts of a sample
+_COUNTS = len(Tally._fields)
 TOGETHER_S = 1.0  # time requests that arrive closer together have waited on their way
 STAMPS_SAMPLES = 10  # DeviceClock accepts a step after 5 s, and a device sets its clock every 2.5 s
 REVIVALS_S = 60.0  # a board that restarts four times a minute has a fault
@@ -41,28 +40,33 @@ _TOO_LARGE_TEXT = "larger than buffer"  # ros_lib: "Message from device dropped:
 
 
 class _Samples:
-    """Counts of the last RECENT_S, as rows of numbers: a Tally for each needs five times the memory."""
+    """Counts of the last RECENT_S, as rows of numbers: a Tally for each needs five times the memory.
 
-    __slots__ = ("_rows",)
+    A row has the time, a Tally and the protocol's own counts.
+    """
 
-    def __init__(self, at_s: float, tally: Tally) -> None:
-        self._rows = array("d", (at_s, *tally))
+    __slots__ = ("_columns", "_rows")
 
-    def add(self, at_s: float, tally: Tally) -> None:
+    def __init__(self, at_s: float, tally: Tally, own: tuple[int, ...]) -> None:
+        self._columns = 1 + _COUNTS + len(own)
+        self._rows = array("d", (at_s, *tally, *own))
+
+    def add(self, at_s: float, tally: Tally, own: tuple[int, ...]) -> None:
         """Add a sample, and drop the oldest above MAX_SAMPLES."""
-        self._rows.extend((at_s, *tally))
-        del self._rows[: -MAX_SAMPLES * _COLUMNS]
+        self._rows.extend((at_s, *tally, *own))
+        del self._rows[: -MAX_SAMPLES * self._columns]
 
     @property
     def newest_s(self) -> float:
         """Time of the last sample."""
-        return self._rows[-_COLUMNS]
+        return self._rows[-self._columns]
 
-    def since(self, at_s: float) -> Tally:
+    def since(self, at_s: float) -> tuple[Tally, tuple[int, ...]]:
         """Return the first sample that is not older than `at_s`, or the last one of all."""
-        times_s = self._rows[::_COLUMNS]
+        times_s = self._rows[:: self._columns]
         row = min(bisect_left(times_s, at_s), len(times_s) - 1)
-        return Tally(*map(int, self._rows[row * _COLUMNS + 1 : (row + 1) * _COLUMNS]))
+        counts = [*map(int, self._rows[row * self._columns + 1 : (row + 1) * self._columns])]
+        return Tally(*counts[:_COUNTS]), tuple(counts[_COUNTS:])
 
 
 def unknown_size(type_name: str) -> int:  # noqa: ARG001 - the signature of `least_bytes`
@@ -78,8 +82,8 @@ class LinkMonitor:
 
     __slots__ = (
         "_complaints", "_device_complaint", "_early_noise", "_excluded", "_fell_silent", "_intervals_s",
-        "_is_fresh", "_is_provoked", "_least_bytes", "_negotiated_at_s", "_opened_at_s", "_previous_at_s",
-        "_revived_at_s", "_samples",
+        "_is_fresh", "_is_provoked", "_least_bytes", "_negotiated_at_s", "_opened_at_s", "_own_excluded",
+        "_previous_at_s", "_revived_at_s", "_samples",
         "_session", "_signal", "_stamps_behind_s", "_time_requested_at_s", "_unknown_before", "_was_host_away", "baud",
         "firmware", "motion", "sharing",
     )  # fmt: skip
@@ -94,13 +98,14 @@ class LinkMonitor:
         self.sharing = UNSHARED  # of a serial port
         self._session = session
         self._opened_at_s = now_s
-        self._samples = _Samples(now_s, NO_COUNTS)
+        self._samples = _Samples(now_s, NO_COUNTS, session.own_counts)
         self._negotiated_at_s: float | None = None
         self._early_noise = b""
         self._unknown_before = 0  # unknown ids that the last negotiation explained
         self._is_provoked = False  # a device sends a time request with its topics
         self._is_fresh = False  # the last time request was read when it was sent
         self._excluded = NO_COUNTS  # losses while the host was paused
+        self._own_excluded = (0,) * len(session.own_counts)  # the same of the protocol's own counts
         self._stamps_behind_s: list[float] = []
         self._fell_silent = False
         self._was_host_away = False  # since the last time request: a device without answers falls silent
@@ -116,7 +121,7 @@ class LinkMonitor:
     def set_baud(self, baud: int, now_s: float) -> None:
         """Note the baud rate at which the line is read. Earlier counts are dropped."""
         self.baud = baud
-        self._samples = _Samples(now_s, self._total())
+        self._samples = _Samples(now_s, self._total(), self._own())
 
     def observe(self, event: events.Event, now_s: float, *, has_waited: bool = False) -> None:
         """Note an event of the session. `has_waited`: it was read right after a pause of the host."""
@@ -147,7 +152,7 @@ class LinkMonitor:
     def sample(self, now_s: float) -> None:
         """Sample the counts. Recent counts are a difference to the samples."""
         if now_s >= self._samples.newest_s + SAMPLE_INTERVAL_S / 2:
-            self._samples.add(now_s, self._total())
+            self._samples.add(now_s, self._total(), self._own())
             self.motion.sample(now_s)
             offset_ns = self._session.device_clock.offset_ns
             if offset_ns is not None:
@@ -156,12 +161,14 @@ class LinkMonitor:
 
     def exclude_waited(self) -> None:
         """Exclude the losses since the last sample, because the host was paused."""
-        self._exclude(since=self._samples.since(math.inf))
+        tally, own = self._samples.since(math.inf)
+        self._exclude(since=tally)
+        self._own_excluded = tuple(map(operator.sub, self._session.own_counts, own))  # then they are as they were
         self._was_host_away = True
 
     def _begin_anew(self, now_s: float) -> None:
         self._exclude(since=NO_COUNTS)
-        self._samples = _Samples(now_s, self._total())
+        self._samples = _Samples(now_s, self._total(), self._own())
 
     def _exclude(self, since: Tally) -> None:
         total, before = self._total(), self._excluded
@@ -204,12 +211,14 @@ class LinkMonitor:
         """
         host = HostPauses() if pauses is None else pauses
         session, total = self._session, self._total()
-        recent = _difference(total, self._samples.since(now_s - RECENT_S))
+        before, own_before = self._samples.since(now_s - RECENT_S)
+        recent = _difference(total, before)
         return Evidence(
             age_s=host.awake_s(self._opened_at_s, now_s),
             silent_s=silent_s,
             total=total,
             recent=recent,
+            own=tuple(map(operator.sub, self._own(), own_before)),
             baud=self.baud,
             requests=session.counts.topic_requests,
             negotiated_s=_ago(self._negotiated_at_s, now_s, host),
@@ -221,7 +230,7 @@ class LinkMonitor:
             early_noise=self._early_noise,
             skipped=session.foreign[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
             is_outdated=session.is_outdated,
-            explain_noise=session.explain_noise,
+            explain=session.explain,
             refused=tuple(f"{reason}" for _, reason in session.refusals),
             too_small=tuple(self._too_small()),
             complaints={code: Complaint(text, now_s - at_s) for code, (text, at_s) in self._complaints.items()},
@@ -273,6 +282,9 @@ class LinkMonitor:
             wrong_sizes=session.wrong_sizes,
         )
         return _difference(total, self._excluded)
+
+    def _own(self) -> tuple[int, ...]:
+        return tuple(map(operator.sub, self._session.own_counts, self._own_excluded))
 
     def _too_small(self) -> list[str]:
         """List what exceeds a buffer: by announced sizes, refused frames and the device's log."""

@@ -1,34 +1,21 @@
-"""Diagnosis rules: evidence -> findings (wrong baud rate, no device, ...), the likeliest cause first.
+"""Diagnosis rules: evidence -> findings (no bytes, reboots, odometry that leaps ...), the likeliest cause first.
 
+These are for every device. What the messages of one protocol show is judged by its own rules (`Evidence.explain`).
 Each threshold names its source. Codes and texts are in findings.toml. The numbers of a case are in the finding's
 detail.
 """
 
 from collections.abc import Callable
-from statistics import median
 
 from hostlink.core.diagnosis.evidence import RECENT_S, Evidence
 from hostlink.core.diagnosis.finding import Finding, finding, words
 from hostlink.core.diagnosis.motion_monitor import NO_POSE
-from hostlink.core.protocol.noise import JUDGED_S, UNEXPLAINED_BYTES, excerpt
+from hostlink.core.protocol.link_evidence import JUDGED_S, UNEXPLAINED_BYTES, WENT_SILENT_S, excerpt
 
-TIME_REQUEST_S = 2.5  # docs/protocol.md#time: time request interval of a configured device
 NO_BYTES_S = 5.0  # topics are requested at 0, 2 and 4 s; an answer arrives within 2 s
-WENT_SILENT_S = 2 * TIME_REQUEST_S + 1.0  # two missing time requests, and a second for the radio
-TIME_STOPPED_S = 3 * TIME_REQUEST_S + 0.5  # three missing time requests: a topic request may delay one
-MIN_REQUESTS = 3  # at 0, 2 and 4 s: one answer may be lost, but not three
-WRONG_SIZES = 3
-UNKNOWN_IDS = 10  # more than arrive between two negotiations
-UNKNOWN_AFTER_S = 5.0  # three topic requests were answered by then
 REBOOTS = 3  # in a minute
 SHORT_LIFE_S = 30.0  # a link that lasted longer did not end in a boot loop
-CLOCK_ERROR = 0.04  # ceramic resonators are within 0.5 %, RC oscillators within 2 or 3 %
 STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it receives, some tens of milliseconds
-JITTER_S = 0.5  # a radio or a busy host may delay one request so much, and the next ones then seem early
-FASTEST_RATE = 1.18  # of an oscillator that is not trimmed: 10 %, and some for its voltage and temperature
-CRYSTAL_RATES = (4 / 3, 3 / 2, 2.0)  # a board of 16 or 12 MHz with a program for 12 or 8; 5/4 would be every 2 s
-CRYSTAL_ERROR = 0.03  # of the interval, with a turn of the device's loop
-CLOCK_INTERVALS = 3  # the median of three tolerates one outlier
 WHEEL_CODES = ("wheel_stalled", "wheel_runaway")
 WHEEL_S = 600.0  # a wheel shows its fault only while it is driven, and a person may be repairing it
 WEAK_DBM = -80  # same limit as firmware/esp8266: below it packets are lost and sent again
@@ -54,9 +41,7 @@ def diagnose(evidence: Evidence) -> list[Finding]:
         detail = rule(evidence)
         if detail is not None:
             found[code] = detail
-    noise = evidence.explain_noise(evidence.noise)
-    if noise is not None and "serial_shared" not in found:  # which damages what is left
-        found[noise[0]] = noise[1]
+    found = {**evidence.explain(evidence.of_link(is_shared="serial_shared" in found)), **found}
     return [finding(code, found[code]) for code in words() if code in found]
 
 
@@ -86,42 +71,9 @@ def _no_bytes(evidence: Evidence) -> str | None:
     return f"{evidence.age_s:.0f} s" if is_so else None
 
 
-def _no_topics(evidence: Evidence) -> str | None:
-    total = evidence.total
-    is_so = total.frames > 0 and evidence.negotiated_s is None and evidence.requests >= MIN_REQUESTS
-    return f"{evidence.requests} topic requests, {total.frames} frames" if is_so else None
-
-
 def _went_silent(evidence: Evidence) -> str | None:
     is_silent = evidence.silent_s >= WENT_SILENT_S or evidence.end == "idle"  # the hub may end a link earlier
     return f"for {evidence.silent_s:.0f} s" if evidence.negotiated_s is not None and is_silent else None
-
-
-def _time_stopped(evidence: Evidence) -> str | None:
-    if evidence.negotiated_s is None or evidence.silent_s >= WENT_SILENT_S or evidence.never_requests_time:
-        return None  # some libraries never request the time, as the one of MicroPython
-    known = (evidence.negotiated_s, evidence.time_requested_s)
-    waited_s = min(at_s for at_s in known if at_s is not None)
-    return f"for {waited_s:.0f} s" if waited_s >= TIME_STOPPED_S else None
-
-
-def _wrong_md5(evidence: Evidence) -> str | None:
-    return "; ".join(evidence.refused[:2]) if evidence.refused else None
-
-
-def _wrong_size(evidence: Evidence) -> str | None:
-    count = evidence.recent.wrong_sizes
-    return f"{count} frames" if count >= WRONG_SIZES else None
-
-
-def _buffer_too_small(evidence: Evidence) -> str | None:
-    return "; ".join(evidence.too_small[:2]) if evidence.too_small else None
-
-
-def _unknown_ids(evidence: Evidence) -> str | None:
-    count = evidence.recent.unknown_ids
-    is_settled = evidence.negotiated_s is not None and evidence.negotiated_s >= UNKNOWN_AFTER_S
-    return f"{count} frames" if is_settled and count >= UNKNOWN_IDS else None
 
 
 def _reboots(evidence: Evidence) -> str | None:
@@ -143,19 +95,7 @@ def _clock_trouble(evidence: Evidence) -> str | None:
     behind_s = evidence.stamps_behind_s
     if behind_s is not None and STAMPS_BEHIND_S <= abs(behind_s) < ANOTHER_CLOCK_S:
         return f"its stamps are {abs(behind_s):.1f} s {'behind' if behind_s > 0 else 'ahead'}"
-    if len(evidence.time_intervals_s) < CLOCK_INTERVALS:
-        return None
-    interval_s = median(evidence.time_intervals_s)
-    early_s = TIME_REQUEST_S * len(evidence.time_intervals_s) - sum(evidence.time_intervals_s)
-    is_fast = _is_fast(interval_s) and early_s >= JITTER_S  # a slow clock may be a slow loop
-    return f"time requests every {interval_s:.2f} s instead of {TIME_REQUEST_S:g} s" if is_fast else None
-
-
-def _is_fast(interval_s: float) -> bool:
-    """Whether a clock that is fast explains the interval. Other libraries request the time in a rhythm of their own."""
-    rate = TIME_REQUEST_S / interval_s
-    is_inexact = 1 / (1 - CLOCK_ERROR) < rate <= FASTEST_RATE
-    return is_inexact or any(abs(rate / crystal - 1) < CRYSTAL_ERROR for crystal in CRYSTAL_RATES)
+    return None
 
 
 # -- what the robot says of its motion --------------------------------------------------------------------------------
@@ -246,14 +186,8 @@ _ENDS = {"refused": "too_many_robots", "crashed": "host_fault", "unanswerable": 
 _RULES: dict[str, Rule] = {
     "serial_shared": _serial_shared,
     "no_bytes": _no_bytes,
-    "no_topics": _no_topics,
-    "wrong_md5": _wrong_md5,
-    "wrong_size": _wrong_size,
-    "buffer_too_small": _buffer_too_small,
-    "unknown_ids": _unknown_ids,
     "reboots": _reboots,
     "went_silent": _went_silent,
-    "time_stopped": _time_stopped,
     "weak_signal": _weak_signal,
     "clock_trouble": _clock_trouble,
     "bad_pose": _bad_pose,

@@ -131,6 +131,7 @@ class Devices:
         return {
             "link": link.number,
             "peer": link.peer,
+            "protocol": link.session.protocol,
             "robot": None if robot is None else robot.name,
             "part_of": None if device.member is None else device.member.robot,
             "is_spatial": device.settings.is_spatial,
@@ -160,6 +161,7 @@ def link_view(device: Device) -> LinkView:
     view = {
         "number": link.number,
         "transport": link.kind,
+        "protocol": link.session.protocol,
         "peer": link.peer,
         "robot": diagnosis.robot or None,
         "silent_s": round(link.silent_s, 3),

@@ -29,14 +29,14 @@ ENCAPSULATION: Final = b"\x00\x01\x00\x00"  # CDR, little endian; the last two b
 _REPRESENTATION: Final = ENCAPSULATION[:2]
 
 # Types whose fields ROS 2 has changed, by the md5 sum of the definition of ROS 1. Another definition of such a name, as
-# from a folder of the user's, is not changed.
+# from a folder of the user's, is used unchanged.
 _CHANGED: Final = {
     "rosgraph_msgs/Log": "acffd30cd6b6de30f120938c17c593fb",
     "shape_msgs/SolidPrimitive": "d8f8cbc74c5ff283fca29569ccefb45d",  # since Humble
     "visualization_msgs/Marker": "4048c9de2a16f4ae8e0538085ebf1b97",  # since Humble
 }
-# One field more at the end since Iron. Earlier ones ignore the bytes, as ROS 2 does with all after a message.
-_APPENDED: Final = {"sensor_msgs/Range": ("c005c34273dc426c67a020a87bc24148", "float32")}
+# Bytes of a field more at the end, since Iron. Earlier ones ignore them, as ROS 2 does with all after a message.
+_APPENDED: Final = {"sensor_msgs/Range": ("c005c34273dc426c67a020a87bc24148", SIZES["float32"])}
 
 _ALIGNMENT_MAX: Final = 8
 _PADDING_MAX: Final = 3  # DDS pads a message to 4 bytes
@@ -45,24 +45,28 @@ _TEXT: Final = Layout("text", (Field("text", "string"),), {})
 _COUNT: Final = struct.Struct("<I")
 _ZEROS: Final = [bytes(count) for count in range(_ALIGNMENT_MAX)]
 
-_Translate = Callable[[bytes], bytes]
+_Translate = Callable[[bytes, bool], bytes]
 
 
 class Cdr:
     """Translation of one type. `is_copy`: a message of the type has the same bytes in both serialisations."""
 
-    def __init__(self, type_: MessageType) -> None:
+    def __init__(self, type_: MessageType, *, appended_bytes: int = 0) -> None:
+        """Compile the translation of a type whose fields are the same in ROS 2.
+
+        `appended_bytes`: of a field that only ROS 2 has, at the end. It is zero in what is made, and ignored otherwise.
+        """
         self.name: str = type_.name
-        md5, appended = _APPENDED.get(type_.name, ("", ""))
         to_ros1, from_ros1 = _Module(reads_cdr=True), _Module(reads_cdr=False)
-        self._to_ros1: _Translate = to_ros1.load(type_.layout)
-        self._from_ros1: _Translate = from_ros1.load(type_.layout, appended if md5 == type_.md5 else "")
+        self._to_ros1: _Translate = to_ros1.load(type_.layout, appended_bytes)
+        self._from_ros1: _Translate = from_ros1.load(type_.layout, appended_bytes)
         self.is_copy: bool = to_ros1.is_copy
 
     def to_ros1(self, payload: bytes, *, is_encapsulated: bool = False) -> bytes:
         """Translate a message of ROS 2. The `seq` of a header is 0.
 
-        `is_encapsulated`: the payload begins with ENCAPSULATION.
+        `is_encapsulated`: the payload begins with ENCAPSULATION, and only padding may follow the message. Otherwise,
+        what a board of micro-ROS leaves after a message is ignored, too.
 
         Raises:
             BadPayload: it is not a message of this type, or its encapsulation is not that of little-endian CDR.
@@ -71,7 +75,7 @@ class Cdr:
             if len(payload) < len(ENCAPSULATION) or not payload.startswith(_REPRESENTATION):
                 raise BadPayload(self.name, f"the payload begins with {payload[:4].hex()}, little-endian CDR with 0001")
             payload = payload[len(ENCAPSULATION) :]
-        return self._translated(self._to_ros1, payload)
+        return self._translated(self._to_ros1, payload, is_exact=is_encapsulated)
 
     def from_ros1(self, payload: bytes, *, is_encapsulated: bool = False) -> bytes:
         """Translate a message of ROS 1.
@@ -79,12 +83,12 @@ class Cdr:
         Raises:
             BadPayload: it is not a message of this type.
         """
-        message = self._translated(self._from_ros1, payload)
+        message = self._translated(self._from_ros1, payload, is_exact=True)
         return ENCAPSULATION + message if is_encapsulated else message
 
-    def _translated(self, translate: _Translate, payload: bytes) -> bytes:
+    def _translated(self, translate: _Translate, payload: bytes, *, is_exact: bool) -> bytes:
         try:
-            return translate(payload)
+            return translate(payload, is_exact)
         except UNCOMMON_LAYOUT as error:
             raise BadPayload(self.name, f"{len(payload)} bytes are not such a message: {error}") from None
 
@@ -101,13 +105,17 @@ def cdr_of(message_type: MessageType) -> Cdr:
     found = _cdrs.get(message_type)
     if found is None:
         _check_fields(message_type, message_type.name)
-        found = _cdrs[message_type] = Cdr(message_type)
+        found = _cdrs[message_type] = Cdr(message_type, appended_bytes=_appended_bytes(message_type))
     return found
 
 
+def _appended_bytes(type_: MessageType) -> int:
+    md5, size = _APPENDED.get(type_.name, ("", 0))
+    return size if md5 == type_.md5 else 0
+
+
 def _check_fields(type_: MessageType, outer: str) -> None:
-    is_inside = type_.name != outer
-    if _CHANGED.get(type_.name) == type_.md5 or (is_inside and _APPENDED.get(type_.name, ("",))[0] == type_.md5):
+    if _CHANGED.get(type_.name) == type_.md5 or (type_.name != outer and _appended_bytes(type_)):
         raise WrongType(outer, f"the fields that {type_.name} has in ROS 2", "those of ROS 1")
     for nested in type_.nested.values():
         _check_fields(nested, outer)
@@ -118,39 +126,43 @@ class _Module:
 
     def __init__(self, *, reads_cdr: bool) -> None:
         self.reads_cdr = reads_cdr
-        self.state = "o" if reads_cdr else "o, d"
         self.is_copy = False
         self._functions: dict[Layout, str] = {}
         self._lines: list[str] = []
 
-    def load(self, layout: Layout, appended: str = "") -> _Translate:
+    def load(self, layout: Layout, appended_bytes: int) -> _Translate:
         """Compile the function that translates a whole message."""
         body = _Body(self, _ALIGNMENT_MAX)
         body.add_message(layout)
-        self.is_copy = body.is_copy
-        if appended:
-            body.align(SIZES[appended])
-            body.add_zeros(SIZES[appended])
-        is_strict = not self.reads_cdr or layout.fixed_bytes is not None
-        padding_bytes = _PADDING_MAX if self.reads_cdr else 0
-        self._lines += ["def translate(b):", " o = d = 0", " size = len(b)", " p = []", *body.finish()]
-        self._lines += [f" if size - o > {padding_bytes}: check_rest(b, o, {is_strict})", " return b''.join(p)"]
+        self.is_copy = body.copied_bytes is not None
+        shortcut = [f" if size == {body.copied_bytes}: return b"] * self.is_copy
+        if not self.reads_cdr:
+            body.add_zeros(appended_bytes)
+        padding_bytes = _PADDING_MAX + appended_bytes if self.reads_cdr else 0
+        is_exact = layout.fixed_bytes is not None or "is_exact"
+        self._lines += ["def translate(b, is_exact):", " size = len(b)", *shortcut, " o = d = 0", " p = []"]
+        self._lines += body.finish()
+        self._lines += [f" if size - o > {padding_bytes}: check_rest(b, o, {is_exact})", " return b''.join(p)"]
         names: dict[str, Any] = {"UncommonLayout": ValueError, "zeros": _ZEROS, "check_rest": _check_rest}
         names |= {"unpack": _COUNT.unpack_from, "pack": _COUNT.pack}
         exec("\n".join(self._lines), names)  # noqa: S102 - the source has only numbers of a definition, no text
         return cast("_Translate", names["translate"])
 
-    def add_element(self, layout: Layout) -> str:
-        """Add the function that translates one element at an offset. Return its name."""
-        if layout not in self._functions:
-            name = self._functions[layout] = f"element_{len(self._functions)}"
-            body = _Body(self, 1)
-            body.add_message(layout)
-            self._lines += [f"def {name}(b, {self.state}, size, p):", *body.finish(), f" return {self.state}"]
-        return self._functions[layout]
+    def element(self, layout: Layout) -> list[str]:
+        """Return the body of a loop over elements. Messages have a function: Python limits how deep loops nest."""
+        state = "o" if self.reads_cdr else "o, d"
+        if layout in self._functions:
+            return [f" {state} = {self._functions[layout]}(b, {state}, size, p)"]
+        body = _Body(self, 1)
+        body.add_message(layout)
+        if layout is _TEXT:
+            return body.finish()
+        name = self._functions[layout] = f"element_{len(self._functions)}"
+        self._lines += [f"def {name}(b, {state}, size, p):", *body.finish(), f" return {state}"]
+        return self.element(layout)
 
 
-def _check_rest(payload: bytes, end: int, is_strict: bool) -> None:
+def _check_rest(payload: bytes, end: int, is_exact: bool) -> None:
     """Raise ValueError if the payload continues after the message for longer than its writer may let it.
 
     Micro-ROS announces a byte more than it writes for each empty text, which may cost a whole alignment, and leaves the
@@ -158,7 +170,7 @@ def _check_rest(payload: bytes, end: int, is_strict: bool) -> None:
     """
     rest_bytes = len(payload) - end
     empty_texts = payload.count(_ZEROS[COUNT_BYTES], 0, end)  # or more: a length of 0 is four zeros
-    if is_strict or rest_bytes >= _ALIGNMENT_MAX * (1 + empty_texts):
+    if is_exact or rest_bytes >= _ALIGNMENT_MAX * (1 + empty_texts):
         raise ValueError(f"the message ends after {end} bytes")
 
 
@@ -183,8 +195,10 @@ class _Body:
         self._run: list[tuple[int, bool, bool]] = []  # bytes, and whether CDR and ROS 1 have them; not yet written
 
     @property
-    def is_copy(self) -> bool:
-        return not self._lines and [flags for _, *flags in self._run] == [[True, True]]
+    def copied_bytes(self) -> int | None:
+        """Size of the message if all of it is copied, else None."""
+        [(size, in_cdr, in_ros1), *others] = self._run or [(0, False, False)]
+        return size if in_cdr and in_ros1 and not others and not self._lines else None
 
     def finish(self) -> list[str]:
         self._close_run()
@@ -208,7 +222,7 @@ class _Body:
             self.add_zeros(-self._phase % size)
             return
         self._close_run()
-        self._align_by_statement(size, "")
+        self._align_by_statement(size)
         self._modulus, self._phase = size, 0
 
     def _add(self, size: int, *, in_ros1: bool = True) -> None:
@@ -235,7 +249,7 @@ class _Body:
         self._read_count()
         self._check_end("o + 4 + n")
         if self._module.reads_cdr:
-            self._lines.append("if n and b[e - 1]: raise UncommonLayout(f'the text at {o} has no NUL at its end')")
+            self._refuse_if("n and b[e - 1]", "the text at {o} has no NUL at its end")
             self._lines.append("p += (pack(n - 1), b[o + 4:e - 1]) if n else (zeros[4],)")
         else:
             self._lines += ["p += (pack(n + 1), b[o + 4:e], zeros[1])", "d += 1"]
@@ -247,7 +261,7 @@ class _Body:
         self._read_count()
         if solid.alignment > COUNT_BYTES:
             self._lines += ["p.append(b[o:o + 4])", "o += 4", "if n:"]
-            self._align_by_statement(solid.alignment, " ")
+            self._align_by_statement(solid.alignment, indent=" ")
             self._check_end(f"o + n * {solid.size}")
         else:
             self._check_end(f"o + 4 + n * {solid.size}")
@@ -257,32 +271,21 @@ class _Body:
     def _add_elements(self, layout: Layout, field: Field) -> None:
         """Add a list or an array of texts, or of messages that are not only copied."""
         element = _TEXT if field.type == "string" else layout.nested[field.type]
-        name = self._module.add_element(element)
         count = str(field.array_length)
         if field.array_length == VARIABLE:
             self._read_count()
-            self._lines += [
-                f"if n * {self._least_bytes(element)} > size - o - 4: raise UncommonLayout(f'{{n}} elements at {{o}}')"
-            ]
+            least_bytes = 1 if self._module.reads_cdr else element.minimum_bytes
+            self._refuse_if(f"n * {least_bytes} > size - o - 4", "{n} elements at {o}")
             if element.minimum_bytes == 0:
-                self._lines.append(
-                    f"if n > {EMPTY_ELEMENTS_MAX}: raise UncommonLayout(f'{{n}} elements without fields')"
-                )
+                self._refuse_if(f"n > {EMPTY_ELEMENTS_MAX}", "{n} elements without fields")
             self._lines += ["p.append(b[o:o + 4])", "o += 4"]
             count = "n"
         self._close_run()
-        self._lines += [
-            f"for _ in range({count}):",
-            f" {self._module.state} = {name}(b, {self._module.state}, size, p)",
-        ]
-        if (
-            not self._module.reads_cdr and element.room > element.minimum_bytes
-        ):  # it grows by its messages without fields
-            self._lines.append(f" if o + d > {ENCODED_BYTES_MAX}: raise UncommonLayout('it is too long in CDR')")
+        self._lines += [f"for _ in range({count}):", *self._module.element(element)]
+        has_empty = element.room > element.minimum_bytes  # messages without fields, each of which is a byte in CDR
+        if has_empty and not self._module.reads_cdr:
+            self._refuse_if(f"o + d > {ENCODED_BYTES_MAX}", f"more than {ENCODED_BYTES_MAX} bytes in CDR", indent=" ")
         self._modulus, self._phase = 1, 0
-
-    def _least_bytes(self, element: Layout) -> int:
-        return 1 if self._module.reads_cdr else element.minimum_bytes
 
     def _read_count(self) -> None:
         self.align(COUNT_BYTES)
@@ -290,9 +293,14 @@ class _Body:
         self._lines.append("n, = unpack(b, o)")
 
     def _check_end(self, end: str) -> None:
-        self._lines += [f"e = {end}", "if e > size: raise UncommonLayout(f'{e - size} bytes are missing at {o}')"]
+        self._lines.append(f"e = {end}")
+        self._refuse_if("e > size", "{e - size} bytes are missing at {o}")
 
-    def _align_by_statement(self, size: int, indent: str) -> None:
+    def _refuse_if(self, condition: str, text: str, *, indent: str = "") -> None:
+        """Write the statement that refuses the payload. `text` is that of an f-string."""
+        self._lines.append(f"{indent}if {condition}: raise UncommonLayout(f'{text}')")
+
+    def _align_by_statement(self, size: int, *, indent: str = "") -> None:
         if self._module.reads_cdr:
             self._lines.append(f"{indent}o = (o + {size - 1}) & -{size}")
         else:
@@ -336,10 +344,11 @@ def _solid(layout: Layout, field: Field) -> _Solid | None:
     inner = layout.nested[field.type]
     alignment = size = 0
     for part in inner.fields:
-        solid = None if part.array_length == VARIABLE else _solid(inner, part)
+        is_copied = part.array_length != VARIABLE and (inner.name, part) != _SEQ
+        solid = _solid(inner, part) if is_copied else None
         if solid is None:
             return None
-        alignment = alignment or solid.alignment  # the first field aligns all
+        alignment = alignment or solid.alignment  # that of the first part
         if solid.alignment > alignment or size % solid.alignment:
             return None
         size += solid.size * abs(part.array_length)

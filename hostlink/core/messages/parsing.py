@@ -21,6 +21,8 @@ ARRAY_LENGTH_MAX: Final = 65535  # no rosserial payload holds more elements
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _TYPE: Final = re.compile(r"([A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)?)(?:\[([0-9]*)\])?")
+# What ROS 2 calls ROS 1's time and duration, at the beginning of a field.
+_ROS2_TIME: Final = re.compile(r"^([ \t]*)builtin_interfaces/(Time|Duration)(?=[ \t\[])", re.MULTILINE)
 
 
 class Definition(NamedTuple):
@@ -40,7 +42,11 @@ class Definition(NamedTuple):
 
 
 def parse_message(name: str, text: str, where: str, *, first_line: int = 1) -> Definition:
-    """Parse one message definition. Each ConfigError names `where` and the line."""
+    """Parse one message definition. Each ConfigError names `where` and the line.
+
+    A field of the type builtin_interfaces/Time, as in the definitions of ROS 2, is a time, also in the text.
+    """
+    text = _ROS2_TIME.sub(lambda match: f"{match[1]}{match[2].lower()}", text)
     constants: dict[str, Constant] = {}
     fields: dict[str, tuple[Field, int]] = {}
     package = name.partition("/")[0]
@@ -140,6 +146,8 @@ def _field(code: str, package: str) -> Field:
     if match is None:
         raise ValueError(f"{written!r} is not a valid type")
     type_name, length = match.groups()
+    if type_name == "wstring":
+        raise ValueError("wstring exists only in ROS 2; use string")
     return Field(name, _full_type(type_name, package), _array_length(written, length))
 
 

@@ -64,7 +64,7 @@ def from_dds_type(dds_type: str) -> str | None:
 
 
 class DdsKind(StrEnum):
-    """Kind of the messages on a topic of DDS. The value begins the topic's name."""
+    """Kind of a topic of DDS. The value begins the topic's name."""
 
     MESSAGES = "rt"
     REQUESTS = "rq"

@@ -8,7 +8,7 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.clock import DeviceClock
 from hostlink.core.protocol.endpoint import DeviceEndpoint
 from hostlink.core.protocol.events import Event, Parameter
-from hostlink.core.protocol.noise import Noise, explain_unreadable
+from hostlink.core.protocol.link_evidence import Explain, explain_unreadable
 from hostlink.core.protocol.outbox import Outbox, OutgoingFrame
 from hostlink.core.runtime.compiled import mypyc_attr
 from hostlink.core.runtime.stop_frames import StopFrames
@@ -113,12 +113,15 @@ class DeviceSession(ABC):
         """Say which topics exceed a buffer of the device. `least_bytes` returns the smallest size of a type, or 0."""
         return []
 
-    def explain_noise(self, noise: Noise) -> tuple[str, str] | None:
-        """Return the code and the detail of the finding about skipped bytes; None if they need none.
+    @property
+    def own_counts(self) -> tuple[int, ...]:
+        """Counters of this protocol alone, since the link opened. `explain` gets those of the last seconds."""
+        return ()
 
-        The codes are those of hostlink/core/diagnosis/findings.toml.
-        """
-        return explain_unreadable(noise)
+    @property
+    def explain(self) -> Explain:
+        """Rules of this protocol, with what the session has now: they say what is wrong, and may run in a thread."""
+        return explain_unreadable
 
     def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:  # noqa: ARG002 - for protocols without frames
         """Number of bytes before the first whole frame of captured bytes whose beginning is lost."""

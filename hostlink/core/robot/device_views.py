@@ -42,11 +42,13 @@ class ClockView(TypedDict):
 class LinkView(TypedDict):
     """One live connection: topics, counters, and problems, the most likely cause first.
 
-    robot: name of its robot; null without one. parameters: answers to the device, used until it reconnects.
+    protocol: rosserial, micro-ROS, or the name of an installed one. robot: name of its robot; null without one.
+    parameters: answers to the device, used until it reconnects.
     """
 
     number: int
     transport: str
+    protocol: str
     peer: str
     robot: str | None
     silent_s: float
@@ -151,16 +153,17 @@ class RefusedTopicView(TypedDict):
 class DeviceView(TypedDict):
     """Whether a connected device is a robot, and why.
 
-    robot: null: it is not a robot. part_of: the robot of several devices of which it is one; null: none. is_spatial:
-    its velocity topics take all six numbers, by the settings. name_from: source of its name. settings: the robot whose
-    settings in hostlink.toml apply to it; null: none. refused: why they do not fit the device; empty if they do.
-    feedback: what is known of its motion: pose, velocity, motion or none. lacks: what is missing to know more.
-    refused_topics: for example those with a wrong md5 sum. suggestion: lines of hostlink.toml that put the unguarded
-    topics in order.
+    protocol: rosserial, micro-ROS, or the name of an installed one. robot: null: it is not a robot. part_of: the robot
+    of several devices of which it is one; null: none. is_spatial: its velocity topics take all six numbers, by the
+    settings. name_from: source of its name. settings: the robot whose settings in hostlink.toml apply to it; null:
+    none. refused: why they do not fit the device; empty if they do. feedback: what is known of its motion: pose,
+    velocity, motion or none. lacks: what is missing to know more. refused_topics: for example those with a wrong md5
+    sum. suggestion: lines of hostlink.toml that put the unguarded topics in order.
     """
 
     link: int
     peer: str
+    protocol: str
     robot: str | None
     part_of: str | None
     is_spatial: bool

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from hostlink.core.protocol.endpoint import EndpointKind
+from hostlink.core.protocol.resampling import resample
 from hostlink.core.protocol.rosserial.control import decode_topic_info, encode_topic_info
 from hostlink.core.protocol.rosserial.frame import Frame, Id, byte_sum, encode
-from hostlink.core.protocol.rosserial.resampling import resample
 from hostlink.core.protocol.rosserial.stream import FrameStream
 from hostlink.workbench.sim.board import SimulatedBoard
 from hostlink.workbench.sim.firmware_module import WorldParameters

@@ -42,6 +42,13 @@ def robot(**state: Any) -> dict[str, Any]:
     return {"name": "robot_0", "link": 1, "holder": None, "locked": False, "odometry": None, **state}
 
 
+def test_protocol_of_a_link_is_shown_where_it_is_not_the_usual_one() -> None:
+    boards = link(1, protocol="rosserial"), link(2, protocol="micro-ROS"), link(3)
+    shown = figures(sample(10.0), sample(12.0, *boards))
+    assert [row[1] for row in link_rows(shown)] == ["10.0.0.2:5000", "10.0.0.2:5000 micro-ROS", "10.0.0.2:5000"]
+    assert [each["peer"] for each in shown["links"]] == ["10.0.0.2:5000"] * 3
+
+
 def test_rates_are_of_the_time_between_two_samples() -> None:
     now = link(frames_from_device=60, frames_to_device=20, bytes_from_device=2000, skipped_bytes=100)
     shown = figures(sample(10.0, link(frames_from_device=20)), sample(12.0, now, robots=[robot()]))

@@ -50,6 +50,15 @@ def test_only_the_latest_of_a_device_and_what_is_recent() -> None:
     assert numbers([], gone) == [3]
 
 
+def test_protocol_is_said_where_it_is_not_the_usual_one() -> None:
+    boards = [live(1, "10.0.0.2:1", "a", protocol="rosserial"), live(2, "10.0.0.3:1", "b", protocol="micro-ROS")]
+    lines = report_lines(report_of({"links": boards, "ended": [], "ports": []}, "here"))
+    assert [line.partition("  (")[0] for line in lines if line.startswith("link")] == [
+        "link 1  10.0.0.2:1  a",
+        "link 2  10.0.0.3:1 micro-ROS  b",
+    ]
+
+
 def test_healthy_link_is_reported() -> None:
     robots = [{"link": 2, "odometry": {"rate_hz": 30.0, "age_s": 0.02}, "holder": "client 7"}]
     view = {"links": [live(2, "10.0.0.2:1", "robot_0")], "ended": [], "ports": []}

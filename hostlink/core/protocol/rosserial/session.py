@@ -10,7 +10,7 @@ from typing import NamedTuple
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind, to_device_key
 from hostlink.core.protocol.events import Parameter
-from hostlink.core.protocol.noise import Noise
+from hostlink.core.protocol.link_evidence import Explain
 from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
 from hostlink.core.protocol.rosserial.control import (
     decode_log,
@@ -260,9 +260,10 @@ class Session(DeviceSession):
         ]
         return announced + unsent
 
-    def explain_noise(self, noise: Noise) -> tuple[str, str] | None:
-        """Return the finding about skipped bytes: a wrong baud rate, a boot message, text on the line."""
-        return explain(noise)
+    @property
+    def explain(self) -> Explain:
+        """Rules of rosserial."""
+        return explain
 
     def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:
         """Number of bytes before the first frame; 0 when it is more than a frame can have."""

@@ -303,6 +303,10 @@ class XrceClient:
         self._creating_until_s = now_s + CREATING_S
         self.repair_s = now_s + CREATING_SILENCE_S
 
+    def was_creating(self, now_s: float) -> bool:
+        """Whether the client has created objects lately: it was asked for more than was lost."""
+        return now_s < self._creating_until_s + CREATING_S
+
     def note_heard(self, now_s: float) -> None:
         """Note that a message came."""
         self.heard_s = now_s

@@ -183,10 +183,19 @@ class SerialFraming(Framing):
 
     def encode(self, message: bytes) -> bytes:
         """Return a frame from the host to the device."""
-        head = bytes((_HOST, _DEVICE)) + len(message).to_bytes(2, "little")
-        content = head + message + crc16(message).to_bytes(_CRC_BYTES, "little")
-        escaped = content.replace(_ESCAPE, bytes((ESCAPE, ESCAPE ^ FLIP)))
-        return _BEGIN + escaped.replace(_BEGIN, bytes((ESCAPE, BEGIN ^ FLIP)))
+        return _frame(_HOST, _DEVICE, message)
+
+
+def device_frame(message: bytes) -> bytes:
+    """Return a frame from a device to the host, on a serial line."""
+    return _frame(_DEVICE, _HOST, message)
+
+
+def _frame(source: int, destination: int, message: bytes) -> bytes:
+    head = bytes((source, destination)) + len(message).to_bytes(2, "little")
+    content = head + message + crc16(message).to_bytes(_CRC_BYTES, "little")
+    escaped = content.replace(_ESCAPE, bytes((ESCAPE, ESCAPE ^ FLIP)))
+    return _BEGIN + escaped.replace(_BEGIN, bytes((ESCAPE, BEGIN ^ FLIP)))
 
 
 FRAMINGS: Final[tuple[type[Framing], ...]] = (DatagramFraming, LengthFraming, SerialFraming)

@@ -187,7 +187,7 @@ class ObjectTable:
 
     def __init__(self, max_endpoints: int) -> None:
         self.by_id: dict[int, XrceObject] = {}
-        self.refused = 0  # endpoints above the bound
+        self.refused = 0  # objects above the bound
         self._max_endpoints = max_endpoints
 
     def create(self, new: XrceObject, flags: int) -> int:
@@ -206,7 +206,7 @@ class ObjectTable:
                 return Status.UNKNOWN_REFERENCE
             new = new._replace(name=topic.name, type=topic.type, representation=topic.representation)
         if before is None and not self._has_room(new.kind):
-            self.refused += new.kind in ENDPOINTS
+            self.refused += 1
             return Status.RESOURCES
         self.by_id[new.id] = new
         return Status.OK

@@ -7,15 +7,19 @@ the bytes and reads the clock.
 import math
 from collections import deque
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Final
 
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.link_evidence import Explain
 from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
 from hostlink.core.protocol.session import DeviceSession
 from hostlink.core.protocol.xrce.client import EMPTY, REPEAT_S, WAITING_MAX, Reading, XrceClient, Zero, is_data_for
+from hostlink.core.protocol.xrce.findings import Facts, OwnCounts, explain
 from hostlink.core.protocol.xrce.framing import Framing
+from hostlink.core.protocol.xrce.names import NO_TYPE
 from hostlink.core.protocol.xrce.objects import ENDPOINTS, XrceObject, decode_object, kind_of
 from hostlink.core.protocol.xrce.payloads import Payloads
 from hostlink.core.protocol.xrce.resume import ClientState, SessionState
@@ -93,14 +97,26 @@ CREATED: Final = LITTLE | REUSE | REPLACE
 class Quality:
     """Counts of one connection for a diagnosis, since the link opened."""
 
-    __slots__ = ("best_effort_late", "best_effort_lost", "duplicates", "restarts", "resumed", "unread")
+    __slots__ = (
+        "best_effort", "best_effort_late", "best_effort_lost", "creations", "deleted", "duplicates", "missing", "pings",
+        "reliable", "resent", "restarts", "resumed", "unknown", "unread", "waits",
+    )  # fmt: skip
 
     def __init__(self) -> None:
+        self.pings = 0  # of a client, or before there is one
+        self.creations = 0  # CREATE_CLIENT
+        self.best_effort = 0  # messages
         self.best_effort_lost = 0  # gaps in the numbers: exact
         self.best_effort_late = 0
-        self.duplicates = 0  # messages that the device sent again
-        self.restarts = 0  # CREATE_CLIENT after the first
+        self.reliable = 0  # messages, each counted once
+        self.duplicates = 0  # messages that the device sent twice, unless it was asked for them while it began
+        self.missing = 0  # times that a message had not come when a later one had
+        self.resent = 0  # messages that were sent to the device again
+        self.waits = 0  # HEARTBEATs of a device that has waited for an acknowledgement
+        self.restarts = 0  # clients that began anew
+        self.deleted = 0  # clients that ended, and have not begun anew
         self.resumed = 0  # clients that went on after a restart of the host
+        self.unknown = 0  # messages of clients that were not created here
         self.unread = 0  # messages to readers that want no more
 
 
@@ -190,7 +206,8 @@ class XrceSession(DeviceSession):
             else:
                 self.counts.frames_from_device += 1
                 self._read(message, now_s, found)
-        self._put_acks(now_s)
+        if self._acks:
+            self._put_acks(now_s)
         self._release(now_s)
         return found
 
@@ -290,6 +307,42 @@ class XrceSession(DeviceSession):
                         )
         return found
 
+    @property
+    def own_counts(self) -> tuple[int, ...]:
+        """The OwnCounts for the rules."""
+        q = self.quality
+        return OwnCounts(
+            greetings=q.pings + q.creations,
+            best_effort=q.best_effort,
+            best_effort_lost=q.best_effort_lost,
+            reliable=q.reliable,
+            duplicates=q.duplicates,
+            missing=q.missing,
+            resent=q.resent,
+            restarts=q.restarts,
+            waits=q.waits,
+            unknown=q.unknown,
+        )
+
+    @property
+    def explain(self) -> Explain:
+        """Rules of micro-ROS, with what is known now."""
+        slowest = max(self._clients.values(), key=_measured_s, default=None)
+        facts = Facts(
+            is_serial=self._framing.transport == "serial",
+            clients=len(self._clients),
+            resumed=self.quality.resumed,
+            pings=self.quality.pings,
+            round_trip_s=0.0 if slowest is None else slowest.round_trip_s,
+            least_round_trip_s=0.0 if slowest is None else slowest.least_round_trip_s,
+            round_trips=0 if slowest is None else slowest.round_trips,
+            too_large=self.too_large,
+            raw=tuple(f"{each.name} ({each.type})" for each in self.raw_endpoints if each.type != NO_TYPE),
+            references=tuple(each.name for each in self._known if each.type == NO_TYPE),
+            excess=self.excess_objects + self.counts.excess_topics,
+        )
+        return partial(explain, facts)
+
     def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:  # noqa: ARG002 - each framing finds the next frame
         """Number of bytes before the first whole frame: 0, because a reader finds it by itself, except on TCP."""
         return 0
@@ -340,11 +393,6 @@ class XrceSession(DeviceSession):
         """Part of `round_trip_s` that is more than the shortest: what the board's loop adds."""
         measured = [each for each in self._clients.values() if each.round_trips]
         return max((each.round_trip_s - each.least_round_trip_s for each in measured), default=None)
-
-    @property
-    def resent(self) -> int:
-        """Number of messages that were sent to the device again."""
-        return sum(each.output.resent for each in self._clients.values())
 
     @property
     def too_long_messages(self) -> int:
@@ -612,6 +660,7 @@ class XrceSession(DeviceSession):
             return
         if client is None:
             self.counts.unknown_ids += 1
+            self.quality.unknown += 1
             return
         if client.is_reset_due:
             self._settle_reset(client, message, now_s)
@@ -621,6 +670,7 @@ class XrceSession(DeviceSession):
             if lost < 0:
                 self.quality.best_effort_late += 1
                 return
+            self.quality.best_effort += 1
             self.quality.best_effort_lost += lost
             for each in self._submessages(message.body):
                 self._handle(client, stream, each, found)
@@ -632,7 +682,10 @@ class XrceSession(DeviceSession):
         client.note_message(now_s)
         before = reliable.duplicates
         bodies = reliable.receive(message.number, message.body)
-        self.quality.duplicates += reliable.duplicates - before
+        again = reliable.duplicates - before
+        if not client.was_creating(now_s):
+            self.quality.duplicates += again
+        self.quality.reliable += 1 - again
         self._read_bodies(client, reliable, bodies, found)
 
     def _read_bodies(
@@ -677,8 +730,10 @@ class XrceSession(DeviceSession):
         """Handle a submessage on no stream. Some need no client."""
         kind = submessage.kind
         if kind == Kind.CREATE_CLIENT:
+            self.quality.creations += 1
             self._create_client(submessage)
         elif kind == Kind.GET_INFO:
+            self.quality.pings += 1
             request = decode_request(submessage)
             if request is None:
                 self.counts.malformed += 1
@@ -699,6 +754,7 @@ class XrceSession(DeviceSession):
             self._put(encode_message(message.session, message.key, NO_STREAM, 0, status))
         elif client is None:
             self.counts.unknown_ids += 1
+            self.quality.unknown += 1
         else:
             self._handle(client, NO_STREAM, submessage, found)
 
@@ -713,6 +769,7 @@ class XrceSession(DeviceSession):
         elif kind == Kind.HEARTBEAT and (told := decode_heartbeat(submessage)) is not None:
             reliable = client.input(told.stream) if told.stream >= RELIABLE else None
             if reliable is not None:
+                self.quality.waits += 1
                 bodies = reliable.heartbeat(told.first, told.second)
                 self._read_bodies(client, reliable, bodies, found, is_asked=True)
         elif kind == Kind.READ_DATA and (wanted := decode_read(submessage)) is not None:
@@ -785,6 +842,9 @@ class XrceSession(DeviceSession):
             self.quality.restarts += 1
         elif len(self._clients) >= CLIENTS_MAX:
             return False
+        elif self.quality.deleted:
+            self.quality.deleted -= 1
+            self.quality.restarts += 1
         slot = min(set(range(CLIENTS_MAX)) - {each.slot for each in self._clients.values()})
         client = XrceClient(
             info,
@@ -808,6 +868,7 @@ class XrceSession(DeviceSession):
     def _delete_client(self, client: XrceClient | None) -> None:
         if client is not None:
             self._remove(client)
+            self.quality.deleted += 1
             self._announce_s = self._now_s + QUIET_S
 
     def _remove(self, client: XrceClient) -> None:
@@ -826,6 +887,7 @@ class XrceSession(DeviceSession):
         if message.number == 0 or (reliable is not None and abs(distance(reliable.next, message.number)) > WINDOW):
             client.reset_streams(now_s)
             client.is_announced = False
+            self.quality.restarts += 1
             self.outbox.drop_messages()
             self._is_restarted = True
             self._announce_s = now_s + QUIET_S
@@ -856,6 +918,11 @@ class XrceSession(DeviceSession):
             return
         id_ = endpoint_id(client.slot, written.id)
         endpoint = self._by_key.get(id_) if self._announce_s == math.inf else None
+        if endpoint is not None and written.kind == ObjectKind.DATAWRITER and client.is_confirmed and not self._refused:
+            payload = self._payload(endpoint, submessage.payload[REQUEST_BYTES:])  # nearly always
+            if payload is not None:
+                found.append(events.MessageReceived(endpoint, payload))
+            return
         if endpoint is None:
             endpoint = DeviceEndpoint(ENDPOINTS[written.kind][0], id_, *client.objects.name_and_type(written))
         if not client.is_confirmed:
@@ -918,6 +985,7 @@ class XrceSession(DeviceSession):
             self._discard(client)
             return
         again, mark = client.acknowledge(told, now_s)
+        self.quality.resent += len(again)
         for each in again:
             client.note_provoked(now_s)
             self._put(each)
@@ -991,6 +1059,7 @@ class XrceSession(DeviceSession):
             client = self._clients.get((session, key))
             reliable = None if client is None else client.inputs.get(stream)
             if client is not None and reliable is not None and reliable.fits:
+                self.quality.missing += bool(reliable.missing())
                 message = client.message(NO_STREAM, client.acknack(reliable, now_s))
                 self.outbox.put_answer((session, key, stream), message, depth=1)
         self._acks.clear()
@@ -998,7 +1067,7 @@ class XrceSession(DeviceSession):
     def _release(self, now_s: float) -> None:
         """Queue what the clients' history, their requests and the pace they want permit now."""
         for client in self._clients.values():
-            is_released = True
+            is_released = bool(client.waiting or client.samples)
             while is_released:
                 for each in client.due_messages(now_s):
                     self._put(each)
@@ -1205,6 +1274,10 @@ def _id_key(info: ClientInfo) -> bytes:
 
 def _heard_s(client: XrceClient) -> float:
     return client.heard_s
+
+
+def _measured_s(client: XrceClient) -> float:
+    return client.round_trip_s if client.round_trips else 0.0
 
 
 def _identity(number: int) -> bytes:

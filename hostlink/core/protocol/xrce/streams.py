@@ -120,6 +120,12 @@ class ReliableInput:
 
     def receive(self, number: int, body: bytes) -> list[bytes]:
         """Return the bodies that can be read now, in order."""
+        if self.is_known and number == self.next:  # nearly always
+            self._far = 0
+            if distance(self._announced, number) > 0:
+                self._announced = number
+            self.next = number_after(number)
+            return [body, *self._in_order()] if self._held else [body]
         if not self.is_known:
             self.next, self._announced, self.is_known = number, number, True
         ahead = distance(self.next, number)
@@ -137,9 +143,8 @@ class ReliableInput:
                 self._held[number] = body
                 self._held_bytes += len(body)
             return []
-        found = [body]
         self.next = number_after(number)
-        return found + self._in_order()
+        return [body, *self._in_order()]
 
     def heartbeat(self, first: int, last: int) -> list[bytes]:
         """Note which messages the client keeps. Return the bodies that can be read now: what it lost is given up."""
@@ -179,8 +184,11 @@ class ReliableInput:
 
     def missing(self) -> int:
         """Return the bitmap of the numbers from `next` on that are known to be missing."""
+        known = distance(self.next, self._announced) + 1
+        if known <= 0:
+            return 0
         bitmap = 0
-        for ahead in range(min(distance(self.next, self._announced) + 1, WINDOW)):
+        for ahead in range(min(known, WINDOW)):
             if number_after(self.next, ahead) not in self._held:
                 bitmap |= 1 << ahead
         return bitmap

@@ -132,6 +132,12 @@ def decode_submessages(body: bytes) -> tuple[list[Submessage], int]:
 
     A WRITE_DATA of more than 65,535 bytes has the length 0, or the low 16 bits of its length: it ends with the body.
     """
+    size_bytes = len(body)
+    if size_bytes >= SUBHEADER_BYTES:  # nearly always one
+        kind, flags = body[0], body[1]
+        length = body[2] | body[3] << 8 if flags & LITTLE else body[3] | body[2] << 8
+        if length == size_bytes - SUBHEADER_BYTES:
+            return [Submessage(kind, flags, body[SUBHEADER_BYTES:])], 0
     found: list[Submessage] = []
     at = 0
     while at + SUBHEADER_BYTES <= len(body) and len(found) < SUBMESSAGES_MAX:

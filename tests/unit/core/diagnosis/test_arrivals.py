@@ -54,7 +54,7 @@ def test_refusals_of_many_addresses_are_bounded_and_the_newest_remain() -> None:
 def test_every_cause_of_the_documents_has_a_text() -> None:
     rows = [line.split("|")[1] for line in SERVICE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
     documented = {cause.strip(" `") for row in rows for cause in row.split(",")}
-    assert set(REFUSALS) - {"not_rosserial"} <= documented
+    assert set(REFUSALS) - {"not_rosserial", "not_micro_ros"} <= documented
     assert {"not_allowed", "wrong_key", "unverified"} <= documented
 
 

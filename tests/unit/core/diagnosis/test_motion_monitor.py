@@ -2,9 +2,9 @@
 
 import pytest
 
-from hostlink.core.diagnosis.evidence import Tally
 from hostlink.core.diagnosis.motion_monitor import NO_MOTION, OPPOSITE_S, RECENT_S, STILL_S, MotionMonitor, Speed
 from hostlink.core.diagnosis.rules import diagnose
+from hostlink.core.protocol.link_evidence import Tally
 from tests.unit.core.diagnosis.test_rules import HEALTHY, replace
 
 FORWARD = Speed(0.3, 0.0)

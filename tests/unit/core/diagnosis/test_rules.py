@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import pytest
 
-from hostlink.core.diagnosis.evidence import Complaint, EarlierLink, Evidence, PortSharing, Tally
+from hostlink.core.diagnosis.evidence import Complaint, EarlierLink, Evidence, PortSharing
 from hostlink.core.diagnosis.finding import Finding, finding, words
 from hostlink.core.diagnosis.motion_monitor import MotionEvidence
 from hostlink.core.diagnosis.rules import diagnose
+from hostlink.core.protocol.link_evidence import Tally
+from hostlink.core.protocol.resampling import resample
 from hostlink.core.protocol.rosserial.findings import explain
 from hostlink.core.protocol.rosserial.frame import Id, encode
-from hostlink.core.protocol.rosserial.resampling import resample
 
 GOOD = Tally(bytes_from_device=3000, frames=100)
 HEALTHY = Evidence(
@@ -22,9 +23,9 @@ HEALTHY = Evidence(
     negotiated_s=59.0,
     time_requested_s=1.0,
     time_intervals_s=(2.5,) * 8,
-    explain_noise=explain,
+    explain=explain,
 )
-NEW = Evidence(age_s=6.0, silent_s=0.1, requests=3, explain_noise=explain)
+NEW = Evidence(age_s=6.0, silent_s=0.1, requests=3, explain=explain)
 SLOW = resample(encode(Id.TIME, bytes(8)) * 60, ratio=2.0)[:512]
 BOOT = resample(b"\r\n ets Jan  8 2013,rst cause:2, boot mode:(3,6)\r\n\r\nload 0x4010f000, len 3424\r\n", ratio=1.54)
 

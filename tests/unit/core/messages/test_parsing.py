@@ -43,6 +43,14 @@ def test_every_kind_of_line_is_parsed() -> None:
     assert definition.text == EVERYTHING
 
 
+def test_time_of_ros_2_is_a_time() -> None:
+    text = "builtin_interfaces/Time a\n  builtin_interfaces/Duration[2]\tb\nstring C=builtin_interfaces/Time\n"
+    definition = parse_message("pkg/Type", text, "Type.msg")
+    assert definition.fields == (Field("a", "time", SCALAR), Field("b", "duration", 2))
+    assert definition.text == "time a\n  duration[2]\tb\nstring C=builtin_interfaces/Time\n"
+    assert parse_message("pkg/Type", "builtin_interfaces/Times a", "Type.msg").fields[0].type.endswith("Times")
+
+
 def test_fields_write_their_type_as_a_definition_does() -> None:
     fields = parse_message("pkg/Type", "int8 a\nint8[] b\nint8[3] c", "Type.msg").fields
     assert [field.type_text for field in fields] == ["int8", "int8[]", "int8[3]"]
@@ -67,6 +75,7 @@ def test_text_ends_with_one_newline_or_is_empty() -> None:
     ("line", "problem"),
     [
         ("float64", "wanted TYPE NAME, got 'float64'"),
+        ("wstring[] x", "wstring exists only in ROS 2; use string"),
         ("float64 x 0.0", "wanted TYPE NAME, got 'float64 x 0.0'; default values exist only in ROS 2; remove it"),
         ("string x 'a b'", "wanted TYPE NAME, got \"string x 'a b'\"; default values exist only in ROS 2; remove it"),
         (

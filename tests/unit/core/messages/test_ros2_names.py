@@ -122,7 +122,7 @@ def test_endpoint_has_names_on_dds(kind: DdsKind, name: str, type_name: str, top
         ("rt/turn/_action/feedback", "turtlesim::action::dds_::Turn_FeedbackMessage_"),
     ],
 )
-def test_other_name_on_dds_names_no_endpoint(topic: str, dds_type: str) -> None:
+def test_other_name_on_dds_has_no_endpoint(topic: str, dds_type: str) -> None:
     assert dds_endpoint(topic, dds_type) is None
 
 

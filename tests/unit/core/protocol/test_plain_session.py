@@ -1,7 +1,7 @@
 """A session of a protocol that overrides what it must: what a device has then, and what is not known of it."""
 
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.core.protocol.noise import JUDGED_S, Noise
+from hostlink.core.protocol.link_evidence import JUDGED_S, LinkEvidence, Tally
 from hostlink.core.protocol.session import DeviceSession
 from hostlink.core.runtime.stop_frames import StopFrames
 from hostlink.errors import FrameTooLarge
@@ -10,10 +10,7 @@ from tests.support.text_protocol import TEXT
 
 VELOCITY = DeviceEndpoint(EndpointKind.SUBSCRIBER, 1, "car/cmd_vel", "geometry_msgs/Twist")
 OTHER = VELOCITY._replace(name="other/cmd_vel", id=2)
-NOISE = Noise(
-    age_s=JUDGED_S + 1.0, is_negotiated=False, received_bytes=100, skipped_bytes=100, frames=0, bad_checksums=0,
-    all_skipped_bytes=100, sample=b"?", early=b"", baud=None, is_outdated=False,
-)  # fmt: skip
+UNREADABLE = LinkEvidence(JUDGED_S + 1.0, recent=Tally(bytes_from_device=100, skipped_bytes=100), sample=b"?")
 
 
 def announced() -> DeviceSession:
@@ -60,8 +57,10 @@ def test_last_message_is_that_of_the_protocol() -> None:
 
 def test_unreadable_bytes_are_a_finding_and_readable_ones_none() -> None:
     session = announced()
-    assert session.explain_noise(NOISE) == ("no_sync", "100 of 100 bytes in no frame")
-    assert session.explain_noise(NOISE._replace(skipped_bytes=0)) is None
+    assert session.explain(UNREADABLE) == {"no_sync": "100 of 100 bytes in no frame"}
+    assert session.explain(UNREADABLE._replace(recent=Tally(bytes_from_device=100))) == {}
+    assert session.explain(UNREADABLE._replace(is_shared=True)) == {}
+    assert session.own_counts == ()
 
 
 def test_captured_host_of_a_plain_protocol_asks_for_nothing() -> None:

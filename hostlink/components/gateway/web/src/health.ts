@@ -24,6 +24,7 @@ const TILES: Record<Tile, [label: string, hint: string]> = {
 const OLD_S = 1;
 const SLOW_MS = 200;
 const WEAK_DBM = -80;
+const USUAL_PROTOCOL = "rosserial"; // not said
 
 /** docs/robot.md#what-the-robot-knows-of-itself */
 const ERRORS: Record<number, string> = {
@@ -81,8 +82,10 @@ export class Health {
     this.set("signal", dbm === null ? "–" : `${digits(dbm, 0)} dBm`, dbm !== null && dbm < WEAK_DBM);
     this.set("battery", (isKnown && robot && batteryText(robot)) || "–", this.isBatteryLow);
     const firmware = find("#link .firmware");
-    firmware.hidden = !robot?.firmware;
-    setText(firmware, robot?.firmware ? `Firmware ${robot.firmware}` : "");
+    const protocol = link?.protocol === USUAL_PROTOCOL ? "" : (link?.protocol ?? "");
+    const facts = [protocol, robot?.firmware ? `Firmware ${robot.firmware}` : ""].filter(Boolean).join(" · ");
+    firmware.hidden = !facts;
+    setText(firmware, facts);
     this.set("device", device_s === undefined ? "–" : `${digits(device_s * 1000, 0)} ms`);
     this.diagnose(robot === undefined ? links : link ? [link] : []);
   }

@@ -97,6 +97,7 @@ export interface TopicView {
 export interface LinkView {
   number: number;
   peer: string;
+  protocol?: string;
   silent_s: number;
   topics: TopicView[];
   seconds: number;

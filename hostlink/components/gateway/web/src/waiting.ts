@@ -14,6 +14,7 @@ const LOOPBACK = /^(localhost|127\..*|\[?::1\]?)$/; // names of this computer th
 const ANY = ["0.0.0.0", "::"]; // all addresses of the computer
 const TRIED_BAUD = 57600; // of ros_lib
 const SERIAL = `/dev/ttyACM0@${TRIED_BAUD}`;
+const MICRO_ROS = "udp://0.0.0.0:8888";
 
 interface Address {
   host: string;
@@ -24,6 +25,7 @@ interface Address {
 interface Listening {
   tcp: Address | null;
   udp: Address | null;
+  micro_ros?: string[]; // addresses such as udp://0.0.0.0:8888
   serial: { port: string; bauds: number[] }[];
   simulate: string | null;
   address?: string | null; // of hostlink's computer in its network
@@ -103,18 +105,20 @@ function replace(box: HTMLElement, content: HTMLElement[]): void {
   if (next.innerHTML !== box.innerHTML) box.replaceChildren(...next.childNodes);
 }
 
-function ways({ tcp, udp, serial }: Listening): HTMLElement[] {
+function ways({ tcp, udp, micro_ros, serial }: Listening): HTMLElement[] {
   const items: (Node | string)[][] = [];
   if (tcp) items.push(["rosserial over TCP: ", ...where(tcp)]);
   if (udp) items.push(["datagrams over UDP: ", ...where(udp)]);
+  for (const { way, ...address } of (micro_ros ?? []).map(parsed))
+    items.push([`micro-ROS over ${way}: `, ...where(address)]);
   for (const { port, bauds } of serial)
     items.push(["on ", make("code", {}, port), ` at ${bauds.join(", ")} baud: plug it in`]);
   if (items.length === 0) return [make("p", {}, "This hostlink has no port for devices: check its settings.")];
   return [make("h3", {}, "Ports for devices"), list(items)];
 }
 
-/** What to set on the three most common boards, with this daemon's addresses. */
-function boards({ tcp, serial, simulate, address }: Listening): HTMLElement {
+/** What to set on the most common boards, with this daemon's addresses. */
+function boards({ tcp, micro_ros, serial, simulate, address }: Listening): HTMLElement {
   const usb = serial[0];
   const serve = (port: string) => code(`hostlink serve --serial ${port}`);
   const arduino = usb
@@ -125,10 +129,35 @@ function boards({ tcp, serial, simulate, address }: Listening): HTMLElement {
     ["Arduino over USB", arduino],
     ["ESP8266, ESP32 over WiFi", wifi(tcp, address)],
     ["STM32 or another UART", uart],
+    ["A micro-ROS board", microRos((micro_ros ?? []).map(parsed)[0], address)],
   ];
   if (simulate !== null) rows.push(["No board: a simulated robot", ["on hostlink's computer, ", code(simulate)]]);
   const terms = rows.flatMap(([name, what]) => [make("dt", {}, name), make("dd", {}, ...what)]);
   return make("div", { class: "boards" }, make("h3", {}, "What to set on the board"), make("dl", {}, ...terms));
+}
+
+interface MicroRosAddress extends Address {
+  way: string;
+}
+
+/** An address such as udp://[::]:8888. */
+function parsed(text: string): MicroRosAddress {
+  const [, way, host, port] = /^(\w+):\/\/\[?(.*?)\]?:(\d+)$/.exec(text) ?? ["", "", text, "0"];
+  return { way: way.toUpperCase(), host, port: Number(port) };
+}
+
+function microRos(port: MicroRosAddress | undefined, own: string | null | undefined): (Node | string)[] {
+  const serve = code(`hostlink serve --micro-ros ${MICRO_ROS}`);
+  if (port === undefined) return ["start ", serve, "; on the board, set hostlink's computer as its agent"];
+  if (LOOPBACK.test(port.host)) return ["hostlink listens for it on this computer only: start ", serve];
+  const host = reached(port.host, own);
+  if (host === null) return ["hostlink's computer is in no network; the port is ", code(String(port.port))];
+  return ["set as its agent ", code(host), ` port ${port.port}, ${port.way}`];
+}
+
+/** The address of hostlink's computer for a device; null if it is in no network. */
+function reached(host: string, own: string | null | undefined): string | null {
+  return ANY.includes(host) ? (own ?? (isLocal() ? null : location.hostname)) : host;
 }
 
 function wifi(tcp: Address | null, own: string | null | undefined): (Node | string)[] {
@@ -136,7 +165,7 @@ function wifi(tcp: Address | null, own: string | null | undefined): (Node | stri
   if (LOOPBACK.test(tcp.host)) {
     return ["hostlink listens on this computer only: set ", code('[tcp] host = "0.0.0.0"'), " in its settings"];
   }
-  const host = ANY.includes(tcp.host) ? (own ?? (isLocal() ? null : location.hostname)) : tcp.host;
+  const host = reached(tcp.host, own);
   const port = `, ${tcp.port}`;
   if (host === null) return ["hostlink's computer is in no network; the port is ", code(String(tcp.port))];
   const parts = /^(\d+)\.(\d+)\.(\d+)\.(\d+)$/.exec(host)?.slice(1);

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from hostlink.core.protocol.resampling import resample
+from hostlink.core.protocol.rosserial.findings import guess_speed
 from hostlink.core.protocol.rosserial.frame import Id, encode
-from hostlink.core.protocol.rosserial.resampling import resample
-from hostlink.core.protocol.rosserial.speed import guess_speed
 from hostlink.core.runtime.capture_file import load_reads
 
 CAPTURE = Path(__file__).parents[4] / "captures" / "services.jsonl"

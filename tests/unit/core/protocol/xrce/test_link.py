@@ -84,7 +84,7 @@ def played(seed: int, seconds: float = 8.0, *, turn_s: float = 0.0, period_s: fl
 def test_without_loss_nothing_is_sent_twice_and_no_publish_waits() -> None:
     drive = played(1)
     assert drive.client.resent == 0
-    assert drive.world.session.resent == 0
+    assert drive.world.session.quality.resent == 0
     assert max(each.took_s for each in drive.published()) < 0.01
     assert len(drive.published()) > 750
 

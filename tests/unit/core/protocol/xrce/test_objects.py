@@ -209,7 +209,7 @@ def test_endpoints_and_other_objects_are_bounded() -> None:
     assert objects.refused == 1
     assert objects.create(READER_1, REPLACE) == Status.OK
     assert objects.create(made(0x12, board.topic("rt/a", TWIST)), 0) == Status.RESOURCES
-    assert objects.refused == 1
+    assert objects.refused == 2
 
 
 def test_objects_that_an_endpoint_needs_come_before_it() -> None:

@@ -1078,7 +1078,7 @@ def test_silent_board_is_asked_and_its_answer_shows_that_it_lives() -> None:
 
 def test_unmeasured_session_has_no_round_trip() -> None:
     session = made()
-    assert (session.round_trip_s, session.turn_s, session.node, session.resent) == (None, None, "", 0)
+    assert (session.round_trip_s, session.turn_s, session.node, session.quality.resent) == (None, None, "", 0)
     assert not session.is_regular
     assert session.deadline_s() == math.inf
 
