@@ -8,10 +8,12 @@ import sys
 import termios
 
 from hostlink.core.guardian.frames import UNLIMITED, StopWriter
+from hostlink.core.runtime.stop_frames import StopFrames
 
 STALE_BYTES = 128  # one turn of a robot's loop at 38400 baud: the most that the daemon's pacing leaves in a serial port
 READ_BYTES = 65536
 DATAGRAM_BYTES = 1024  # of one write over UDP: no network fragments it
+ANSWERING_S = 0.4  # a device is answered for so long: a zero and its answer may be lost
 _GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
@@ -24,20 +26,22 @@ class GuardedConnection:
     |-------------------|-------------------------|-----------------------------|-------------|------------|
     | `hold`, repeated  | hangs, and may recover  | zeros                       | nothing     | never      |
     | `step`, repeated  | is gone                 | zeros, then the end         | everything  | at the end |
+
+    A device that waits until what it sends is acknowledged reads no zero before. While the daemon is gone, its
+    `Acknowledger` answers what is read, and the zeros follow each answer.
     """
 
-    def __init__(self, descriptor: int, zeros: tuple[bytes, ...], end: bytes, claim_bytes: int) -> None:
+    def __init__(self, descriptor: int, stop: StopFrames) -> None:
         self.descriptor = descriptor
         self.is_open = True
         self._is_serial = os.isatty(descriptor)
         self._is_udp = not self._is_serial and _is_udp(descriptor)
-        self._part_bytes = UNLIMITED
-        if self._is_udp:  # without a claim, the protocol keeps datagrams: each frame is one
-            self._part_bytes = DATAGRAM_BYTES if claim_bytes else 0
-        if self._is_udp and claim_bytes <= DATAGRAM_BYTES:
-            claim_bytes = 0  # such a frame was sent as one datagram, whole or not at all
-        self._zeros, self._claim_bytes = zeros, claim_bytes
-        self._writer = StopWriter(zeros, claim_bytes, end, part_bytes=self._part_bytes)
+        self._part_bytes = DATAGRAM_BYTES if self._is_udp else UNLIMITED
+        if self._is_udp and stop.claim_bytes <= DATAGRAM_BYTES:
+            stop.claim_bytes = 0  # such a frame was sent as one datagram, whole or not at all
+        self._stop = stop
+        self._acknowledger = _acknowledger(stop.acknowledger)
+        self._writer = StopWriter(stop, part_bytes=self._part_bytes)
         self._holding = self._writer  # used by `hold`
         self._is_readable = True  # until the end of the stream was read
         self._is_begun = self._is_finished = False
@@ -53,7 +57,7 @@ class GuardedConnection:
 
     def begin_hold(self) -> None:
         """Start the zeros for a daemon that hangs."""
-        self._holding = StopWriter(self._zeros, self._claim_bytes, part_bytes=self._part_bytes)
+        self._holding = StopWriter(self._stop, has_end=False, part_bytes=self._part_bytes)
 
     def hold(self, now_s: float) -> float | None:
         """Write the zeros that are due `now_s` after `begin_hold`, as far as there is room. Return when to call again.
@@ -76,7 +80,7 @@ class GuardedConnection:
         return self._writer.next_s()
 
     def step(self, events: int, now_s: float) -> None:
-        """Write what is due and discard received bytes. An error closes only this connection."""
+        """Write what is due, read received bytes and answer them. An error closes only this connection."""
         try:
             if not self._is_begun:
                 self._begin()
@@ -85,8 +89,9 @@ class GuardedConnection:
                 return
             self._write(self._writer, now_s)
             if events & (select.POLLIN | _GONE):
-                self._discard()
-            if self.is_open and self._writer.is_done():
+                self._read()
+                self._write(self._writer, now_s)
+            if self.is_open and self._writer.is_done() and (self._acknowledger is None or now_s >= ANSWERING_S):
                 self._finish()
         except (OSError, termios.error):  # termios.error is not an OSError
             self.close()
@@ -126,8 +131,8 @@ class GuardedConnection:
                 continue
         return len(datagram)
 
-    def _discard(self) -> None:
-        """Discard received bytes.
+    def _read(self) -> None:
+        """Read received bytes, and answer what the device waits for.
 
         A device may block while its bytes are not read, and closing a TCP connection with unread bytes resets it.
         """
@@ -137,6 +142,8 @@ class GuardedConnection:
             if self._is_udp or isinstance(error, BlockingIOError):
                 return  # an error may belong to an earlier datagram
             raise
+        if self._acknowledger is not None:
+            self._writer.answer(self._acknowledger.receive(received))
         self._is_readable = bool(received) or self._is_udp  # an empty datagram does not end it
         if self._is_serial and not self._is_readable:
             self.close()  # the serial device hung up
@@ -163,6 +170,26 @@ class GuardedConnection:
         except OSError:
             return 0
         return int.from_bytes(count, sys.byteorder)
+
+
+class _Acknowledger:
+    """Interface of the class `Acknowledger` of a protocol."""
+
+    def receive(self, data: bytes) -> list[bytes]:
+        """Return the writes that answer these bytes."""
+        raise NotImplementedError
+
+
+def _acknowledger(place: str) -> _Acknowledger | None:
+    """Create what answers a device, from its module and argument. Only devices that need one cost its import."""
+    if not place:
+        return None
+    module, _, argument = place.partition(":")
+    try:
+        made: _Acknowledger = __import__(module, fromlist=["Acknowledger"]).Acknowledger(argument)
+    except Exception:  # noqa: BLE001 - the files may have been replaced since the start; the zeros are written anyway
+        return None
+    return made
 
 
 def _is_udp(descriptor: int) -> bool:

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import structlog
 from structlog.contextvars import merge_contextvars
@@ -17,6 +17,7 @@ from hostlink.core.hub.hub import Hub
 from hostlink.core.protocol.rosserial.frame import HEADER
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.core.runtime.cancellation import meanwhile
+from hostlink.core.runtime.stop_frames import StopFrames
 from tests.support.fake_device import CATALOG
 from tests.support.simulation.board import TWIST, VELOCITY_ID, Board
 from tests.support.simulation.clock import WorldLoop
@@ -36,20 +37,12 @@ class Guardian:
 
     def __init__(self, world: "World") -> None:
         self._world = world
-        self._zeros: dict[int, tuple[Callable[[], int | None], tuple[bytes, ...], bytes, int]] = {}
+        self._zeros: dict[int, tuple[Callable[[], int | None], StopFrames]] = {}
         self._driven = set[int]()
         self._beat = 0
 
-    def watch(
-        self,
-        number: int,
-        connection: Callable[[], int | None],
-        *,
-        zeros: Sequence[bytes],
-        end: bytes,
-        claim_bytes: int,
-    ) -> None:
-        self._zeros[number] = connection, tuple(zeros), end, claim_bytes
+    def watch(self, number: int, connection: Callable[[], int | None], stop: StopFrames) -> None:
+        self._zeros[number] = connection, stop
 
     def release(self, number: int) -> None:
         self._zeros.pop(number, None)
@@ -75,8 +68,7 @@ class Guardian:
         connection = None if found is None else self._world.connections.get(found[0]() or 0)
         if found is None or connection is None:
             return
-        _, zeros, end, claim_bytes = found
-        writer, began_s = StopWriter(zeros, claim_bytes, end if is_end else b""), self._world.loop.world_s
+        writer, began_s = StopWriter(found[1], has_end=is_end), self._world.loop.world_s
 
         def step() -> None:
             while data := writer.pop_due(self._world.loop.world_s - began_s + 1e-9):

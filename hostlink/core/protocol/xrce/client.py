@@ -51,6 +51,15 @@ CREATING_SILENCE_S: Final = 0.06
 HEARTBEAT_MAX_S: Final = 1.0
 
 
+EMPTY: Final = encode_heartbeat(0, 0, BEST_EFFORT)  # about a stream that has none: a client ignores it
+_DATA: Final = bytes((Kind.DATA,))
+
+
+def is_data_for(body: bytes, object_id: int) -> bool:
+    """Whether the first submessage of a body is a message for this reader."""
+    return body[:1] == _DATA and body[SUBHEADER_BYTES + 2 : SUBHEADER_BYTES + 4] == object_id.to_bytes(2, "big")
+
+
 class Reading:
     """Request of a client for messages to a reader, replier or requester, and what it has had of them."""
 
@@ -174,6 +183,13 @@ class XrceClient:
             self.calls.pop(id_, None)
             self.samples.pop(id_, None)
         return status
+
+    def drop_samples(self, object_id: int) -> int:
+        """Drop what waits for a reader, and blank what was sent and may be sent again. Return how many were dropped."""
+        count = len(self.samples.pop(object_id, ()))
+        waiting = len(self.waiting)
+        self.waiting = deque(each for each in self.waiting if not is_data_for(each, object_id))
+        return count + waiting - len(self.waiting) + self.output.blank(lambda body: is_data_for(body, object_id), EMPTY)
 
     # -- from the client ----------------------------------------------------------------------------------------------
 
@@ -344,8 +360,7 @@ class XrceClient:
         if self.output.is_known:
             return self.message(NO_STREAM, self.heartbeat(now_s))
         self.note_provoked(now_s)
-        empty = encode_heartbeat(0, 0, BEST_EFFORT)  # about a stream that has none: the client ignores it
-        return self.message(RELIABLE, empty, (self.output.first - 1) % NUMBERS)
+        return self.message(RELIABLE, EMPTY, (self.output.first - 1) % NUMBERS)
 
     def tried(self, now_s: float) -> bytes:
         """Return the message that tries whether the client keeps a long one."""
