@@ -117,7 +117,13 @@ async def _listening(
     acceptor = TcpAcceptor(hub, config.tcp)
     tried = [asyncio.Event() for _ in config.serial]
     async with (
-        serve_tcp(config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, listening=listening) as listener,
+        serve_tcp(
+            config.tcp,
+            acceptor.accept,
+            on_exhausted=acceptor.note_exhausted,
+            listening=listening,
+            is_prompt=acceptor.is_prompt,
+        ) as listener,
         _datagrams(hub, config.udp) as udp,
         _micro_ros(hub, config.micro_ros) as micro_ros,
         meanwhile(
@@ -154,7 +160,11 @@ async def _micro_ros(hub: Hub, config: MicroRosConfig) -> AsyncIterator[tuple[st
         if config.tcp is not None:
             acceptor = TcpAcceptor(hub, config.tcp)
             serving = serve_tcp(
-                config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, option="--micro-ros tcp://"
+                config.tcp,
+                acceptor.accept,
+                on_exhausted=acceptor.note_exhausted,
+                option="--micro-ros tcp://",
+                is_prompt=acceptor.is_prompt,
             )
             listener = await ports.enter_async_context(serving)
             found.append(f"tcp://{spelled(*listener.address)}")

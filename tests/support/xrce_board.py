@@ -390,6 +390,9 @@ def object_id(number: int, kind: int) -> int:
     return number << 4 | kind
 
 
+PLACES = 4  # for messages of all subscriptions, in the stock middleware
+
+
 @dataclass
 class Stock:
     """The program of a board like linorobot2: an Odometry and an Imu at 50 Hz, and a velocity."""
@@ -407,7 +410,11 @@ class Stock:
     is_running: bool = False
     failed_at: str = ""
     taken: list[tuple[float, float]] = field(default_factory=list)  # time, and linear velocity
-    keeps: int = 0  # messages that wait for the next turn of its loop, the newest dropped; 0: each is taken at once
+    keeps: int = (
+        PLACES  # messages that wait for the next turn of its loop, the newest dropped; 0: each is taken at once
+    )
+    hangs_at_s: float = float("inf")  # its loop stands still
+    hangs_for_s: float = 0.0
     kept: deque[tuple[int, bytes]] = field(default_factory=deque)
 
     ODOMETRY, IMU, COMMAND = object_id(0, WRITER), object_id(1, WRITER), object_id(0, READER)
@@ -491,6 +498,9 @@ class Stock:
             if self.kept:
                 self.take(*self.kept.popleft())
             yield from self.pause(max(self.turn_s, 0.001))
+            if client.now_s >= self.hangs_at_s:
+                self.hangs_at_s = float("inf")
+                yield from self.pause(self.hangs_for_s)
 
     def pause(self, seconds: float) -> Program:
         """Do something else: messages wait."""

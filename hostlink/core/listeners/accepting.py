@@ -176,6 +176,7 @@ class TcpAcceptor(_Acceptor):
 
     def __init__(self, hub: Hub, config: TcpConfig) -> None:
         super().__init__(hub, config, "tcp")
+        self.is_prompt = self._protocol.writes_in_parts  # as for `serve_tcp`
         self._links: dict[int, Link] = {}  # oldest first
 
     def accept(self, transport: Transport) -> None:

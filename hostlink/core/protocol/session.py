@@ -285,6 +285,7 @@ class DeviceProtocol(ABC):
     name: str
     invitation = b""  # sent to a silent device of a datagram port, which then begins
     keeps_datagrams = False  # whether a session gets each datagram whole and by itself
+    writes_in_parts = False  # devices send one message with several writes, and wait for the acknowledgement of each
 
     @abstractmethod
     def session(

@@ -41,8 +41,15 @@ REPEAT_S: Final = 0.05  # between two zeros
 REPEAT_UNTIL_S: Final = 3.0  # a board that blocks in two publishes takes a zero after 2.0 s
 LISTENING_S: Final = 0.25  # a client that gets nothing sends its HEARTBEAT after 0.1 s, and again after 0.4 s
 LISTENING_PAUSE_S: Final = 1.0  # from the first such time to the next; each is twice as long
-NEVER_MARK: Final = 1 << 60
+REPEATS_AFTER: Final = 12  # zeros after the answer to one
+REPEAT_GROWTH: Final = 1.3  # of the pause between these, so that they last for 3.7 s at least
+SILENT_S: Final = 0.15  # a board that publishes was silent for longer: it hung, and has not read meanwhile
+STALE_S: Final = 1.0  # a velocity may wait for so long on a board that reads
 IN_FLIGHT_S: Final = 0.5  # a velocity that is not answered until then was lost
+SLOWEST_DECAY: Final = 0.8  # of the slowest of the last round trips, with each one
+LOOP_SHARE: Final = 0.15  # of the period of a publisher: a slower round trip shows that its loop has this period
+PACE: Final = 1.15  # periods between two velocities: the places of the middleware that are taken become free
+PERIOD_MAX_S: Final = 0.5  # of a publisher that tells the period of the loop
 SILENCE_GAPS: Final = 1.5  # a client that publishes is silent for longer only when it waits for an acknowledgement
 SILENCE_S: Final = 0.03
 SILENCE_MAX_S: Final = 0.15
@@ -94,14 +101,41 @@ class Reading:
 
 
 class Zero:
-    """A zero that is repeated until the board has answered it."""
+    """A zero that is repeated until the board has answered it, and REPEATS_AFTER times more.
 
-    __slots__ = ("due_s", "mark", "message", "until_s")
+    The answer is that of the client library, which has read the message. The stock middleware has four places for
+    messages that the program has not taken, and drops the newest one when velocities fill them. A turn of the board's
+    loop frees one place. So zeros follow the answer, for as many turns of a slow loop.
+    """
+
+    __slots__ = ("due_s", "left", "mark", "message", "pause_s", "until_s")
 
     def __init__(self, message: bytes, now_s: float) -> None:
         self.message = message
         self.mark = 0  # of the first HEARTBEAT in the same message
+        self.left: int | None = None  # how often it is repeated after its answer; None: it is not answered
+        self.pause_s = REPEAT_S
         self.due_s, self.until_s = now_s + REPEAT_S, now_s + REPEAT_UNTIL_S
+
+    def note_answered(self, now_s: float, pause_s: float) -> None:
+        """Note its answer. `pause_s`: a turn of the board's loop, as far as it is known."""
+        if self.left is None:
+            self.left, self.pause_s = REPEATS_AFTER, max(REPEAT_S, pause_s)
+            self.due_s = now_s + self.pause_s
+
+    def repeat(self, now_s: float) -> bool:
+        """Plan the next one. Return whether it is repeated now, for which it must be due."""
+        if self.left is None:
+            self.due_s = now_s + self.pause_s  # or later, when it is sent
+            return now_s < self.until_s
+        self.left -= 1
+        self.pause_s *= REPEAT_GROWTH
+        self.due_s = now_s + self.pause_s
+        return True
+
+    def is_over(self, now_s: float) -> bool:
+        """Whether it is repeated no more."""
+        return now_s >= self.until_s if self.left is None else self.left <= 0
 
 
 class XrceClient:
@@ -122,17 +156,22 @@ class XrceClient:
         self.samples: dict[int, deque[bytes]] = {}  # messages that wait, by the id of their reader
         self.waiting: deque[bytes] = deque()  # bodies for the reliable stream, in order
         self.zeros: dict[int, Zero] = {}  # by the id of their endpoint, as the next
+        self.rests: dict[int, bytes] = {}  # the zero that was the last velocity of its endpoint
+        self.moved_s = float("-inf")  # last velocity other than zero that was commanded
         self.held: dict[
             int, tuple[bytes, bool]
         ] = {}  # velocities that wait for the one in flight, and if they are kept
-        self.flying_until_s = float("-inf")  # a velocity is on its way to a slow board
+        self.flying_until_s = float("-inf")  # a velocity is on its way to a slow or silent board
+        self.velocity_s = float("-inf")  # last velocity other than zero that was sent
         self.flying_mark = 0
+        self.behind_s = SLOW_S  # pause between two velocities to a board that is silent
         self.is_confirmed = True  # after a restart of the host: it is the client that the state tells of
         self.evidence = 0  # messages that fit the state of a resumed client
         self.created_s = self.heard_s = now_s
         self.round_trip_s = FIRST_ROUND_TRIP_S
         self.least_round_trip_s = float("inf")
         self.slowest_round_trip_s = 0.0
+        self.slow_round_trip_s = 0.0  # slowest of the last ones
         self.round_trips = 0
         self.acknacks = 0
         self.has_answered = False  # a HEARTBEAT
@@ -162,11 +201,13 @@ class XrceClient:
         self.heartbeats = 0  # since the last ACKNACK
         self.is_reset_due = False
         self.heard_s = now_s
+        self.periods: dict[int, tuple[float, float]] = {}  # of each publisher: last message, and period
         self.drop_velocities()
 
     def drop_velocities(self) -> None:
         """Forget velocities that wait and zeros that are repeated."""
         self.zeros.clear()
+        self.rests.clear()
         self.held.clear()
         self.flying_until_s = float("-inf")
 
@@ -183,6 +224,7 @@ class XrceClient:
     def delete(self, object_id: int) -> int:
         """Delete an object, those below it, and what belongs to them. Return the Status."""
         status = self.objects.delete(object_id)
+        self.periods = {id_: each for id_, each in self.periods.items() if id_ in self.objects.by_id}
         for id_ in [*self.readings.keys() - self.objects.by_id.keys()]:
             del self.readings[id_]
             self.reads.pop(id_, None)
@@ -252,13 +294,22 @@ class XrceClient:
         self.round_trips += 1
         self.least_round_trip_s = min(self.least_round_trip_s, taken_s)
         self.slowest_round_trip_s = max(self.slowest_round_trip_s, taken_s)
+        self.slow_round_trip_s = max(SLOWEST_DECAY * self.slow_round_trip_s, taken_s)
         smoothed = taken_s if self.round_trips == 1 else self.round_trip_s + SMOOTHING * (taken_s - self.round_trip_s)
         self.round_trip_s = min(smoothed, ROUND_TRIP_MAX_S)
 
     @property
     def is_slow(self) -> bool:
-        """Whether the board reads commands more slowly than they come."""
-        return self.round_trips > 0 and self.round_trip_s > SLOW_S
+        """Whether the board reads commands more slowly than they come. It reads at several places of its loop."""
+        return self.round_trips > 0 and self.slow_round_trip_s > SLOW_S
+
+    def is_behind(self, now_s: float) -> bool:
+        """Whether the board has not answered for long, and has sent nothing else meanwhile: its loop may hang."""
+        self._forget_lost(now_s)
+        if not self.provoked:
+            return False
+        asked_s = self.provoked[0][1]
+        return now_s - asked_s > SLOW_S and self.heard_s < asked_s
 
     # -- to the client ------------------------------------------------------------------------------------------------
 
@@ -308,8 +359,11 @@ class XrceClient:
         return now_s < self._creating_until_s + CREATING_S
 
     def note_heard(self, now_s: float) -> None:
-        """Note that a message came."""
+        """Note that a message came. After a silence the board reads at once what it was sent meanwhile."""
+        if now_s - self.heard_s > SILENT_S and self.moved_s > self.heard_s - STALE_S:
+            self.zeros |= {each: Zero(message, now_s) for each, message in self.rests.items()}
         self.heard_s = now_s
+        self.behind_s = SLOW_S
         if self.repair_s < float("inf"):
             self.repair_s = now_s + CREATING_SILENCE_S
 
@@ -408,19 +462,58 @@ class XrceClient:
         if now_s >= self._listen_s and self.objects.has_reliable_writer:
             self._listen_pause_s *= 2
             self._listen_s, self._listening_until_s = now_s + self._listen_pause_s, now_s + LISTENING_S
-            self.flying_mark, self.flying_until_s = NEVER_MARK, self._listening_until_s
         return now_s < self._listening_until_s
 
+    def note_velocity(self, endpoint_id: int, now_s: float) -> None:
+        """Note that a velocity other than zero is sent."""
+        self.zeros.pop(endpoint_id, None)
+        self.rests.pop(endpoint_id, None)
+        self.moved_s = now_s
+
+    def note_zero(self, endpoint_id: int, message: bytes, now_s: float) -> None:
+        """Note that a zero is sent."""
+        self.zeros[endpoint_id], self.rests[endpoint_id] = Zero(message, now_s), message
+
+    def note_published(self, object_id: int, now_s: float) -> None:
+        """Note that a publisher has sent a message. A turn of the board's loop sends one of each at most."""
+        last_s, period_s = self.periods.get(object_id, (now_s, 0.0))
+        taken_s = min(now_s - last_s, 2 * PERIOD_MAX_S)
+        self.periods[object_id] = now_s, period_s + SMOOTHING * (taken_s - period_s) if period_s else taken_s
+
+    @property
+    def pace_s(self) -> float:
+        """Time between two velocities that the board's loop can take; 0 if it is not known to be slow."""
+        period_s = min((each for _, each in self.periods.values() if each), default=float("inf"))
+        is_loop = period_s < PERIOD_MAX_S and self.slow_round_trip_s > LOOP_SHARE * period_s
+        return PACE * period_s if is_loop else 0.0
+
+    def free_s(self, now_s: float) -> float:
+        """Time from which on a velocity may be sent, so that few of them wait on the board."""
+        free_s = self.velocity_s + self.pace_s
+        if self.is_slow or self.is_behind(now_s):
+            free_s = max(free_s, self.flying_until_s)
+        if self.is_resumed and not self.inputs:
+            free_s = max(free_s, self._listening_until_s)
+        return free_s
+
+    def note_velocity_sent(self, now_s: float) -> None:
+        """Note that a velocity other than zero was sent."""
+        self.velocity_s = now_s
+        if self.is_behind(now_s):
+            self.flying_until_s = now_s + self.behind_s
+            self.behind_s = min(2 * self.behind_s, IN_FLIGHT_S)
+
     def note_flying(self, mark: int, now_s: float) -> None:
-        """Note that a velocity with a HEARTBEAT was sent."""
+        """Note that a velocity with a HEARTBEAT was sent to a slow board."""
         self.flying_mark, self.flying_until_s = mark, now_s + IN_FLIGHT_S
 
-    def note_answered(self, mark: int) -> None:
+    def note_answered(self, mark: int, now_s: float) -> None:
         """Note that the client has read what was sent with this mark, and before."""
-        if mark >= self.flying_mark:
-            self.flying_until_s = float("-inf")
-        for each in [each for each, zero in self.zeros.items() if 0 < zero.mark <= mark]:
-            del self.zeros[each]
+        if mark >= self.flying_mark:  # the loop takes one velocity a turn, also if it reads more
+            self.flying_until_s = min(self.flying_until_s, self.velocity_s + self.slow_round_trip_s)
+        for zero in self.zeros.values():
+            if 0 < zero.mark <= mark:
+                zero.note_answered(now_s, self.slow_round_trip_s)
 
     def due_messages(self, now_s: float) -> list[bytes]:
         """Return the reliable messages that may be sent now."""

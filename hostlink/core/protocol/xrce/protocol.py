@@ -15,6 +15,7 @@ class Xrce(DeviceProtocol):
     """DDS-XRCE on one kind of transport."""
 
     name = NAME
+    writes_in_parts = True  # on TCP: the length, and the message
 
     def __init__(
         self, framing: Callable[[], Framing], *, keeps_datagrams: bool = False, velocity_stream: int = NO_STREAM

@@ -16,7 +16,7 @@ from hostlink.core.protocol.events import Parameter
 from hostlink.core.protocol.link_evidence import Explain
 from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
 from hostlink.core.protocol.session import DeviceSession
-from hostlink.core.protocol.xrce.client import EMPTY, REPEAT_S, WAITING_MAX, Reading, XrceClient, Zero, is_data_for
+from hostlink.core.protocol.xrce.client import EMPTY, REPEAT_S, WAITING_MAX, Reading, XrceClient, is_data_for
 from hostlink.core.protocol.xrce.findings import Facts, OwnCounts, explain
 from hostlink.core.protocol.xrce.framing import Framing
 from hostlink.core.protocol.xrce.names import NO_TYPE
@@ -206,6 +206,9 @@ class XrceSession(DeviceSession):
             else:
                 self.counts.frames_from_device += 1
                 self._read(message, now_s, found)
+        for client in self._clients.values():
+            if client.held:
+                self._send_held(client, now_s)
         if self._acks:
             self._put_acks(now_s)
         self._release(now_s)
@@ -248,7 +251,7 @@ class XrceSession(DeviceSession):
             if client.samples:
                 deadline_s = min(deadline_s, self._sample_due_s(client))
             if client.held:
-                deadline_s = min(deadline_s, client.flying_until_s)
+                deadline_s = min(deadline_s, client.free_s(self._now_s))
             for zero in client.zeros.values():
                 deadline_s = min(deadline_s, zero.due_s)
         return deadline_s
@@ -440,11 +443,14 @@ class XrceSession(DeviceSession):
         endpoint, client, content = self._to_endpoint("topic", topic, EndpointKind.SUBSCRIBER, payload)
         if is_urgent:
             message = self._velocity(client, endpoint, content)
-            client.zeros.pop(endpoint.id, None)
+            client.note_velocity(endpoint.id, self._now_s)
             self._drop_samples(client, endpoint)
-            if client.is_listening(self._now_s) or (client.is_slow and client.flying_until_s > self._now_s):
+            if client.is_listening(self._now_s) or self._now_s < client.free_s(self._now_s):
                 self.outbox.replaced += endpoint.id in client.held
                 client.held[endpoint.id] = (message, is_kept)
+                if client.is_repair_due(self._now_s):
+                    acknack = client.acknack(client.inputs[RELIABLE], self._now_s, is_repair=True)
+                    self._put(client.message(NO_STREAM, acknack))
             else:
                 self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)
             return
@@ -467,7 +473,7 @@ class XrceSession(DeviceSession):
         client.held.pop(endpoint.id, None)
         self._drop_samples(client, endpoint)
         message = self._velocity(client, endpoint, self._translated(endpoint, payload))
-        client.zeros[endpoint.id] = Zero(message, self._now_s)
+        client.note_zero(endpoint.id, message, self._now_s)
         self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)
         return True
 
@@ -931,6 +937,8 @@ class XrceSession(DeviceSession):
         if self._announce_s < math.inf and self._by_key.get(endpoint.key) != endpoint:
             self._announce(found)
         content = submessage.payload[REQUEST_BYTES:]
+        if written.kind == ObjectKind.DATAWRITER:
+            client.note_published(written.id, self._now_s)
         if written.kind == ObjectKind.REQUESTER:
             self._take_request(client, endpoint, submessage.payload, found)
         elif self._by_key.get(endpoint.key) != endpoint or endpoint.key in self._refused:
@@ -989,8 +997,7 @@ class XrceSession(DeviceSession):
         for each in again:
             client.note_provoked(now_s)
             self._put(each)
-        client.note_answered(mark)
-        self._send_held(client, now_s)
+        client.note_answered(mark, now_s)
         asked_at_s = self.device_clock.topics_answered(now_s)
         if asked_at_s is not None:
             found.append(events.TopicsAnswered(asked_at_s))
@@ -1122,17 +1129,16 @@ class XrceSession(DeviceSession):
 
     def _send_held(self, client: XrceClient, now_s: float) -> None:
         """Queue the velocities that waited for the one in flight, if it has arrived or was lost."""
-        if client.held and now_s >= client.flying_until_s:
+        if client.held and now_s >= client.free_s(now_s):
             for each, (message, is_kept) in client.held.items():
                 self.outbox.put_urgent(each, message, is_kept=is_kept)
             client.held.clear()
 
     def _repeat_zeros(self, client: XrceClient, now_s: float) -> None:
         for each, zero in list(client.zeros.items()):
-            if now_s >= zero.until_s:
+            if zero.is_over(now_s):
                 del client.zeros[each]
-            elif now_s >= zero.due_s:
-                zero.due_s = now_s + REPEAT_S  # or later, when it is sent
+            elif now_s >= zero.due_s and zero.repeat(now_s):
                 self.outbox.put_urgent(each, zero.message)
 
     def _encode(self, message: bytes) -> bytes:
@@ -1157,8 +1163,11 @@ class XrceSession(DeviceSession):
             parts.append(client.acknack(client.inputs[RELIABLE], now_s, is_repair=True))
             room_bytes -= EXTRA_BYTES
         zeros = [each for each in client.zeros.values() if each.message == head + data]
+        if not zeros:
+            client.note_velocity_sent(now_s)
         for each in zeros:
-            each.due_s = now_s + max(REPEAT_S, 1.5 * client.round_trip_s)
+            if each.left is None:
+                each.due_s = now_s + max(REPEAT_S, 1.5 * client.round_trip_s)
         if (
             room_bytes >= EXTRA_BYTES
             and client.output.is_known
@@ -1167,7 +1176,7 @@ class XrceSession(DeviceSession):
             parts.append(client.heartbeat(now_s))
             for each in zeros:
                 each.mark = each.mark or client.mark
-            if client.is_slow:
+            if client.is_slow and not zeros:
                 client.note_flying(client.mark, now_s)
         return head + join_submessages(*parts, data)
 
