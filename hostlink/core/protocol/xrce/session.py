@@ -922,6 +922,8 @@ class XrceSession(DeviceSession):
             self.counts.unknown_ids += 1
             found.append(events.UnknownTopicUsed(request[1]))
             return
+        if written.kind == ObjectKind.DATAWRITER:
+            client.note_published(written.id, self._now_s)
         id_ = endpoint_id(client.slot, written.id)
         endpoint = self._by_key.get(id_) if self._announce_s == math.inf else None
         if endpoint is not None and written.kind == ObjectKind.DATAWRITER and client.is_confirmed and not self._refused:
@@ -937,8 +939,6 @@ class XrceSession(DeviceSession):
         if self._announce_s < math.inf and self._by_key.get(endpoint.key) != endpoint:
             self._announce(found)
         content = submessage.payload[REQUEST_BYTES:]
-        if written.kind == ObjectKind.DATAWRITER:
-            client.note_published(written.id, self._now_s)
         if written.kind == ObjectKind.REQUESTER:
             self._take_request(client, endpoint, submessage.payload, found)
         elif self._by_key.get(endpoint.key) != endpoint or endpoint.key in self._refused:
