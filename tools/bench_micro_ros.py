@@ -54,7 +54,7 @@ NODE, TOPIC, PUBLISHER, WRITER = 0x01, 0x02, 0x03, 0x05
 
 @dataclass(frozen=True)
 class Way:
-    """How boards send: their protocol, and whether a micro-ROS board publishes reliably."""
+    """Kind of the boards of a run: their protocol, and whether a micro-ROS board publishes reliably."""
 
     name: str
     is_micro_ros: bool = True
@@ -67,7 +67,7 @@ WAYS = (Way("micro-ROS, best effort"), Way("micro-ROS, reliable", is_reliable=Tr
 
 @dataclass(frozen=True)
 class Order:
-    """What the process of the boards does. `rate_hz`: 0 is as fast as possible."""
+    """Plan of the process of the boards. `rate_hz`: 0 is as fast as possible."""
 
     host: str
     port: int

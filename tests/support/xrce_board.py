@@ -414,7 +414,7 @@ class Stock:
     keeps: int = (
         PLACES  # messages that wait for the next turn of its loop, the newest dropped; 0: each is taken at once
     )
-    hangs_at_s: float = float("inf")  # its loop stands still
+    hangs_at_s: float = float("inf")  # its loop does nothing from then on, for hangs_for_s
     hangs_for_s: float = 0.0
     kept: deque[tuple[int, bytes]] = field(default_factory=deque)
 

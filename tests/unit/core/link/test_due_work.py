@@ -1,4 +1,4 @@
-"""When a link writes what its session has queued, in virtual time."""
+"""Time at which a link writes what its session has queued, in virtual time."""
 
 import asyncio
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Which of two protocols has the port, in virtual time."""
+"""Turns of two protocols at one port, in virtual time."""
 
 import asyncio
 

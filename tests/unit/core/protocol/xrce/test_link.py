@@ -147,7 +147,7 @@ def test_board_with_a_slow_loop_gets_velocities_that_are_at_most_two_turns_old()
 @pytest.mark.parametrize("loss", [0.0, 0.05])
 @pytest.mark.parametrize("hang_s", [0.3, 1.0, 2.2, 4.0])
 def test_board_whose_loop_hung_takes_the_zero_that_was_sent_meanwhile(hang_s: float, loss: float) -> None:
-    """When it goes on it reads all at once, and its middleware drops what finds no place."""
+    """After the hang the board reads all at once, and its middleware drops what finds no place."""
     drive = Drive(Link(Random(7), loss=loss))
     drive.board.hangs_at_s, drive.board.hangs_for_s, drive.stops_at_s = 2.0, hang_s, 2.0 + 0.7 * hang_s
     drive.world.run(12.0)
