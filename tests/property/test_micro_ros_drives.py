@@ -1,4 +1,4 @@
-"""A micro-ROS board that drives behind a whole hub: what it takes ends in zero, with any fault of the board and its radio.
+"""A micro-ROS board behind a whole hub ends at zero, with any fault of the board and its radio.
 
 Two boards are equal, and have equal client keys at two addresses. A third address floods the hub. Virtual time.
 """
