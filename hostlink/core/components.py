@@ -21,6 +21,7 @@ from hostlink.errors import ConfigError, HostlinkError
 
 GROUP = "hostlink.components"
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0  # before another run; doubled after each failure
+LONGEST_PAUSE_OF_FIRST_S = 5.0  # of those that begin first: people stop robots through the gateway
 READY_S = 20.0  # for a component that begins first: a disk that sleeps needs several seconds
 STEADY_S = 60.0  # after a run of this length the pause is the first one again
 
@@ -167,6 +168,7 @@ async def supervise(hub: Hub, name: str, make: Make, ready: asyncio.Event | None
     counts, kept = Counter[str](), dict[str, Any]()
     hub.counts.components[name] = lambda: counts
     pause_s = FIRST_PAUSE_S
+    longest_s = LONGEST_PAUSE_S if ready is None else LONGEST_PAUSE_OF_FIRST_S
     while True:
         began_s = loop_time_s()
         error = await _run_once(hub, name, make, counts, kept, ready)
@@ -182,7 +184,7 @@ async def supervise(hub: Hub, name: str, make: Make, ready: asyncio.Event | None
         log.warning("component.ended", component=name, reason=reason, again_in_s=pause_s)
         await asyncio.sleep(pause_s)
         hub.diagnoses.observe_own(name)
-        pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+        pause_s = min(2 * pause_s, longest_s)
 
 
 async def _run_once(
