@@ -1,4 +1,4 @@
-"""Turns of two protocols at one port, in virtual time."""
+"""Turns of two protocols at one port: which of them has it, in virtual time."""
 
 import asyncio
 
