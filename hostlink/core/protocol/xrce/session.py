@@ -712,6 +712,8 @@ class XrceSession(DeviceSession):
         elif kind == Kind.HEARTBEAT and (told := decode_heartbeat(submessage)) is not None:
             reliable = client.input(told.stream) if told.stream >= RELIABLE else None
             if reliable is not None:
+                if client.is_reset_due and told.first and abs(distance(reliable.next, told.second)) <= WINDOW:
+                    client.is_reset_due = False  # a late CREATE_CLIENT: the session is the same
                 bodies = reliable.heartbeat(told.first, told.second)
                 self._read_bodies(client, reliable, bodies, found, is_asked=True)
         elif kind == Kind.READ_DATA and (wanted := decode_read(submessage)) is not None:
@@ -989,7 +991,7 @@ class XrceSession(DeviceSession):
         for session, key, stream in self._acks:
             client = self._clients.get((session, key))
             reliable = None if client is None else client.inputs.get(stream)
-            if client is not None and reliable is not None and reliable.fits:
+            if client is not None and reliable is not None and client.may_acknowledge(reliable):
                 message = client.message(NO_STREAM, client.acknack(reliable, now_s))
                 self.outbox.put_answer((session, key, stream), message, depth=1)
         self._acks.clear()
