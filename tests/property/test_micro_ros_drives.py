@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from random import Random
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_UDP
@@ -75,10 +75,10 @@ class Scene:
 
     async def stands(self) -> None:
         """Wait for as long as a stop may take with this radio, and check that the board takes no motion then."""
-        await expect(lambda: not self.ours.is_moving, timeout_s=STANDS_S + 40 * self.network.loss**2)
+        await asyncio.sleep(STANDS_S + 40 * self.network.loss**2)
         before = len(self.ours.taken)
         await asyncio.sleep(0.5)
-        assert not any(speed for _, speed in self.ours.taken[max(before - 1, 0) :])
+        assert not any(speed for _, speed in self.ours.taken[max(before - 1, 0) :]), self.ours.taken[before - 3 :]
 
 
 # -- what happens -----------------------------------------------------------------------------------------------------
@@ -163,7 +163,8 @@ def played(events: list[Callable[[Scene], Awaitable[None]]], seed: int, loss: fl
             scene.is_driven = False
             await scene.stands()
             assert not any(speed for _, speed in scene.other.taken)
-            assert not any(each.taken[0][1] for each in scene.ours.lives if each.taken)  # a zero first
+            if not (loss or disorder):  # else the first velocity may overtake the zero before it
+                assert not any(each.taken[0][1] for each in scene.ours.lives if each.taken)
             names = {each.name for each in made.hub.robots.here()}
             assert len(names) >= 2
             assert made.hub.isolation.crashes == {}
@@ -175,13 +176,15 @@ async def moves(scene: Scene) -> None:
     await expect(lambda: scene.ours.is_moving, timeout_s=30.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("event", EVENTS, ids=lambda each: each.__name__)
 @pytest.mark.parametrize("loss", [0.0, 0.2])
 def test_board_stands_after_each_event_beside_a_flood(event: Callable[[Scene], Awaitable[None]], loss: float) -> None:
     played([event], 1, loss, 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
+@settings(max_examples=max(settings.default.max_examples // 4, 5), deadline=None)  # each plays half a minute
 @given(
     st.lists(st.sampled_from(EVENTS), min_size=1, max_size=5),
     st.integers(0, 10_000),

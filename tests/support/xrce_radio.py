@@ -11,6 +11,8 @@ from tests.support import xrce_board as board
 from tests.support.background import meanwhile
 from tests.support.xrce_device import Device
 
+BOOT_S = 0.1  # of a board, longer than a datagram is on its way
+
 
 class Radio:
     """The host's end: a Transport that keeps datagrams."""
@@ -93,6 +95,8 @@ class RadioBoard:
             self.radio.on_sent = device.receive
             async with meanwhile(device.run()):
                 await self._is_off.wait()
+            self.radio.on_sent = lambda _: None
+            await asyncio.sleep(BOOT_S)
 
     def reboot(self, program: board.Stock) -> None:
         """Switch it off and on. It is at rest then."""

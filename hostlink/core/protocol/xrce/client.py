@@ -337,6 +337,10 @@ class XrceClient:
         self.numbers[stream] = number_after(number)
         return message[:2] + number.to_bytes(2, "little") + message[4:]
 
+    def may_acknowledge(self, stream: ReliableInput) -> bool:
+        """Whether the next number of a stream is surely one of the client's present session."""
+        return stream.fits and not self.is_reset_due
+
     def is_repair_due(self, now_s: float) -> bool:
         """Whether an ACKNACK in the same message may repair a loss, and repeats no other.
 
@@ -344,7 +348,7 @@ class XrceClient:
         message that it gets, and waits for up to a second without this.
         """
         main = self.inputs.get(RELIABLE)
-        if main is None or not main.fits or now_s - self.told_s <= self.round_trip_s:
+        if main is None or not self.may_acknowledge(main) or now_s - self.told_s <= self.round_trip_s:
             return False
         blocked_s = min(max(SILENCE_S, 3 * self.round_trip_s), SILENCE_MAX_S)
         return now_s - self.message_s > min(SILENCE_GAPS * self.gap_s, blocked_s)
@@ -372,7 +376,7 @@ class XrceClient:
         pause_s = max(CREATING_SILENCE_S, 2 * self.round_trip_s)
         self.repair_s = now_s + pause_s if now_s < self._creating_until_s else float("inf")
         main = self.input(RELIABLE)
-        if main is None or not main.fits:
+        if main is None or not self.may_acknowledge(main):
             return b""
         return self.message(NO_STREAM, self.acknack(main, now_s, is_repair=True))
 

@@ -776,6 +776,8 @@ class XrceSession(DeviceSession):
             reliable = client.input(told.stream) if told.stream >= RELIABLE else None
             if reliable is not None:
                 self.quality.waits += 1
+                if client.is_reset_due and told.first and abs(distance(reliable.next, told.second)) <= WINDOW:
+                    client.is_reset_due = False  # a late CREATE_CLIENT: the session is the same
                 bodies = reliable.heartbeat(told.first, told.second)
                 self._read_bodies(client, reliable, bodies, found, is_asked=True)
         elif kind == Kind.READ_DATA and (wanted := decode_read(submessage)) is not None:
@@ -1065,7 +1067,7 @@ class XrceSession(DeviceSession):
         for session, key, stream in self._acks:
             client = self._clients.get((session, key))
             reliable = None if client is None else client.inputs.get(stream)
-            if client is not None and reliable is not None and reliable.fits:
+            if client is not None and reliable is not None and client.may_acknowledge(reliable):
                 self.quality.missing += bool(reliable.missing())
                 message = client.message(NO_STREAM, client.acknack(reliable, now_s))
                 self.outbox.put_answer((session, key, stream), message, depth=1)

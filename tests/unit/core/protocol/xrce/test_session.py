@@ -854,6 +854,31 @@ def test_endpoint_without_responses_is_refused() -> None:
         here.session.response_endpoint(velocity)
 
 
+def test_board_that_is_created_again_gets_no_number_of_its_session_before() -> None:
+    """A client that gets one counts through thousands of numbers, and forgets its own."""
+    here = connected()
+    for _ in range(20):
+        here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "x"})))
+    here.client = Client(key=KEY)
+    here.restart_board(here.client, idle())
+    assert here.do(here.client.connect())
+    here.run(here.now_s + 0.2)
+    here.session.send_zero(here.session._known[1], ZERO)
+    here.write()
+    here.do(here.client.listen(0.3))  # the client of the test asserts that each number was sent
+    here.do(creations(here.client))
+
+
+def test_late_creation_of_a_session_that_continues_stops_no_acknowledgement() -> None:
+    here = connected()
+    here._to_host(here.client.creation())  # a datagram that came twice
+    here.link.loss = 1.0
+    here.client.put(sub(board.WRITE, struct.pack(">HH", 9, WRITER) + cdr("std_msgs/String", {"data": "x"})))
+    here.do(here.client.confirm(0.05))
+    here.link.loss = 0.0
+    assert here.do(here.client.confirm(1.0))
+
+
 @pytest.mark.parametrize("key", [KEY, b"\5\6\7\x08"])
 def test_board_that_has_begun_anew_gets_no_velocity_before_it_is_announced(key: bytes) -> None:
     """The hub knows nothing of the restart yet: the driver's next velocity would move a board that has just booted."""
