@@ -101,10 +101,11 @@ def play(order: Order) -> None:
     else:
         began_s = time.monotonic()
         for number in range(order.samples):
-            for each in boards:
+            for place, each in enumerate(boards):  # spread over the period, as boards are
                 for message in each.samples[number]:
                     each.connection.send(message)
-            time.sleep(max(0.0, began_s + (number + 1) / order.rate_hz - time.monotonic()))
+                due_s = began_s + (number + (place + 1) / len(boards)) / order.rate_hz
+                time.sleep(max(0.0, due_s - time.monotonic()))
     sys.stdin.read(1)
 
 
