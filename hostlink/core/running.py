@@ -154,9 +154,8 @@ async def _micro_ros(hub: Hub, config: MicroRosConfig) -> AsyncIterator[tuple[st
     """Open the ports for micro-ROS boards that are configured. Return their addresses."""
     found: list[str] = []
     async with contextlib.AsyncExitStack() as ports:
-        udp = await ports.enter_async_context(
-            _datagrams(hub, config.udp and config.udp.listening(), "--micro-ros udp://")
-        )
+        datagrams = None if config.udp is None else config.udp.listening()
+        udp = await ports.enter_async_context(_datagrams(hub, datagrams, "--micro-ros udp://"))
         if udp is not None:
             found.append(f"udp://{spelled(*udp)}")
         if config.tcp is not None:
