@@ -159,7 +159,7 @@ def zeros(history: History) -> list[tuple[float, str]]:
             if left is not None and left[0] > order and left[1].at_s < due_s:
                 due_s, cause = left[1].at_s, "its source has left"
             until_s = min(next_s, end_s)
-            allowed_s = due_s + history.tolerance_s(each.at_s, until_s) + PACED_S
+            allowed_s = due_s + history.tolerance_s(each.at_s, until_s) + PACED_S + history.opened[connection].held_s
             for pause in history.pauses:
                 if pause.began_s <= allowed_s < pause.at_s:
                     allowed_s = min(pause.at_s, pause.began_s + HANG_S) + history.slack_s + BEAT_S
