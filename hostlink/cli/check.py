@@ -98,8 +98,8 @@ def _other_ports(config: Config) -> dict[str, TcpConfig | UdpConfig]:
     udp, tcp = config.micro_ros.udp, config.micro_ros.tcp
     found = {
         "udp": config.udp,
-        "micro_ros.udp": udp and udp.listening(),
-        "micro_ros.tcp": tcp and tcp.listening(),
+        "micro_ros.udp": None if udp is None else udp.listening(),
+        "micro_ros.tcp": None if tcp is None else tcp.listening(),
     }
     return {name: part for name, part in found.items() if part is not None}
 

@@ -154,7 +154,7 @@ async def _micro_ros(hub: Hub, config: MicroRosConfig) -> AsyncIterator[tuple[st
     found: list[str] = []
     async with contextlib.AsyncExitStack() as ports:
         udp = await ports.enter_async_context(
-            _datagrams(hub, config.udp and config.udp.listening(), "--micro-ros udp://")
+            _datagrams(hub, None if config.udp is None else config.udp.listening(), "--micro-ros udp://")
         )
         if udp is not None:
             found.append(f"udp://{spelled(*udp)}")
