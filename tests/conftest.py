@@ -89,7 +89,8 @@ def _state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
 @pytest.fixture(autouse=True)
 def _robots_without_names(_state_of_its_own: None) -> None:
     """Forget which device was robot_0 in an earlier test: another one of that name would be robot_0_2."""
-    shutil.rmtree(Path(os.environ["XDG_STATE_HOME"], "hostlink", "names"), ignore_errors=True)
+    for folder in ("names", "boards"):
+        shutil.rmtree(Path(os.environ["XDG_STATE_HOME"], "hostlink", folder), ignore_errors=True)
 
 
 def pytest_configure() -> None:

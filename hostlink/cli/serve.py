@@ -26,6 +26,7 @@ from hostlink.core.config import Config
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.hub.gates import Guard
 from hostlink.core.hub.hub import Hub
+from hostlink.core.hub.kept_memories import kept_memories, memories_file
 from hostlink.core.hub.kept_names import kept_names, names_file
 from hostlink.core.hub.reloader import Read, Reloader
 from hostlink.core.runtime import logs
@@ -72,6 +73,7 @@ async def running(
         async with (
             complaints_logged(),
             kept_names(hub.links, names_file(config)),
+            kept_memories(hub.links, memories_file(config)),
             _recordings(hub) as recordings,
             _api(hub, config, recordings) as api,
         ):

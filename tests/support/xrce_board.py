@@ -402,6 +402,7 @@ class Stock:
     is_reliable: bool = True
     pings: bool = True
     restarts: bool = False  # has code to reconnect
+    gives_up: bool = True  # looks for its host after two publications that failed, and ends if there is none
     begun: int = 0x01020304
     published: list[Published] = field(default_factory=list)
     is_running: bool = False
@@ -477,7 +478,9 @@ class Stock:
         yield from client.synchronise()
         client.read_data(self.COMMAND)
         next_s = client.now_s
-        while failed < 2 or ((yield from client.ping(session=client.session)) and client.pong == 1):
+        while (
+            not self.gives_up or failed < 2 or ((yield from client.ping(session=client.session)) and client.pong == 1)
+        ):
             failed = failed if failed < 2 else 0
             if client.now_s >= next_s:
                 next_s = max(next_s + self.period_s, client.now_s)

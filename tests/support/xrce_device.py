@@ -63,7 +63,7 @@ class Device:
         await asyncio.Future()
 
     async def _wait(self, until_s: float) -> bytes | None:
-        """Wait until then, and return a message that comes before, if the program wants one."""
+        """Wait until that time, or until a message arrives that the program reads. Return the message."""
         if until_s < 0:
             await asyncio.sleep(-until_s - loop_time_s())
             return None
@@ -93,12 +93,12 @@ def stock(*, key: bytes = b"\1\2\3\4", **how: bool | float) -> board.Stock:
 
 @contextlib.asynccontextmanager
 async def udp_board(
-    address: tuple[str, int], program: board.Stock | None = None, *, loss: float = 0.0, local: str = "127.0.0.1"
+    address: tuple[str, int], program: board.Stock | None = None, *, loss: float = 0.0, local_port: int = 0
 ) -> AsyncIterator[Device]:
     """A board with a socket of its own."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
         connection.setblocking(False)
-        connection.bind((local, 0))
+        connection.bind(("127.0.0.1", local_port))
         connection.connect(address)
 
         def send(data: bytes) -> None:

@@ -13,6 +13,7 @@ from structlog.contextvars import bind_contextvars, unbind_contextvars
 from hostlink.core.config import Config, LinkConfig
 from hostlink.core.hub.device import Device, ShownNames
 from hostlink.core.hub.device_calls import DeviceCalls
+from hostlink.core.hub.memories import Memories
 from hostlink.core.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.hub.robot_settings import command_settings
@@ -73,6 +74,7 @@ class Links:
         self.undelivered = 0  # dropped messages of devices that were not identified yet
         self.late_answers = 0  # answers of devices' services after the timeout of the call
         self.on_named: Callable[[], None] = lambda: None  # called when a robot has its name
+        self.memories = Memories()
         self._shared, self._robots, self._devices = shared, robots, robots.devices
         self._robot_topics, self._log_in_graph = robot_topics, log_line
         self._directory = Directory(addresses_of(shared.config), commands_by_name(shared.config))
@@ -97,11 +99,15 @@ class Links:
     # -- connections --------------------------------------------------------------------------------------------------
 
     def open(self, transport: Transport, protocol: DeviceProtocol, link_config: LinkConfig | None = None) -> Link:
-        """Create the link of one connection, whose device speaks this protocol. `serve` must follow."""
+        """Create the link of one connection, whose device speaks this protocol. `serve` must follow.
+
+        If this device is remembered, the link continues where the last one ended.
+        """
         shared = self._shared
         config = shared.config.link if link_config is None else link_config
-        session = protocol.session(
+        session = protocol.resumed(
             shared.catalog,
+            self.memories.of(protocol, transport.kind, transport.peer, transport.address),
             uart_bytes_s=self._uart_bytes_s(transport, config),
             max_topics=config.max_topics,
             is_lossy=transport.kind == "udp",
@@ -308,6 +314,7 @@ class Links:
     def _forget(self, link: Link) -> None:
         """Remove the device of a link that ended or was replaced."""
         device = self._devices.pop(link.number, None)
+        self.memories.leave(link)
         self._capture_room.divide(len(self._devices))
         if device is not None:
             self.undelivered += len(device.early)

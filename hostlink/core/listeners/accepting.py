@@ -210,6 +210,7 @@ OPENED_A_SECOND = 20.0  # new sessions of each kind, and burst size: each costs 
 # Answers without a session, of each kind. They are a fifth longer than what asks for them, with the headers of both: to
 # forged addresses no more than 11 kB/s.
 PINGS_A_SECOND = 200.0
+RESUME_S = 0.1  # between two remembered devices: half of the openings are left to others
 INVITE_S = 2.0  # the interval at which a link repeats an unanswered topic request
 
 
@@ -243,7 +244,11 @@ class UdpAcceptor(_Acceptor):
         if session is not None:
             session.transport.feed(datagram.data)
             return False
+        peer, memories = spelled(*datagram.source[:2]), self._hub.links.memories
         if self._is_greeting(datagram):
+            memories.forget(self._protocol, "udp", peer)
+            return self._open(port, datagram)
+        if memories.has(self._protocol, "udp", peer):
             return self._open(port, datagram)
         if self._is_answered(port, datagram):
             return False
@@ -260,6 +265,16 @@ class UdpAcceptor(_Acceptor):
                 if port is not None and address not in self._sessions:
                     port.send(self._protocol.invitation, address)
             await asyncio.sleep(INVITE_S)
+
+    async def resume(self, ports: Sequence[UdpPort]) -> None:
+        """Open a session with each device that is remembered: some of them only listen."""
+        for peer in self._hub.links.memories.peers(self._protocol, "udp"):
+            host, _, number = peer.rpartition(":")
+            address = host.strip("[]"), int(number)
+            port = next((each for each in ports if (":" in each.address[0]) == (":" in address[0])), None)
+            if port is not None and address not in self._sessions and self._admission.allows(address[0]):
+                self._open(port, Datagram(b"", address, port.address))
+                await asyncio.sleep(RESUME_S)
 
     def _is_greeting(self, datagram: Datagram) -> bool:
         return (
@@ -390,6 +405,7 @@ async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None
         found = turn.taken
         if not found:
             return ""
+        hub.links.memories.forget(protocol, "serial", "", config.name)
         log.info("serial.protocol_found", port=config.name, protocol=other.name)
         protocols.reverse()
 
@@ -397,7 +413,9 @@ async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None
 def _protocols_of(hub: Hub, config: SerialConfig) -> list[DeviceProtocol]:
     """Return the protocols that take turns at a port, the likeliest first."""
     names = (ROSSERIAL, MICRO_ROS) if config.protocol == AUTO else (config.protocol,)
-    return [find_protocol(each, "serial", velocity_stream=hub.config.micro_ros.velocity_stream) for each in names]
+    stream, memories = hub.config.micro_ros.velocity_stream, hub.links.memories
+    protocols = [find_protocol(each, "serial", velocity_stream=stream) for each in names]
+    return sorted(protocols, key=lambda each: not memories.has(each, "serial", "", config.name))
 
 
 def _frames_of(link: Link) -> int:

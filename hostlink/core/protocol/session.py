@@ -162,6 +162,15 @@ class DeviceSession(ABC):
     def announcement(self, endpoints: Iterable[DeviceEndpoint]) -> bytes:
         """Return the bytes with which the device announces these, for the beginning of a capture."""
 
+    @property
+    def memory_version(self) -> int:
+        """Number that changes when `memory` is worth keeping; 0: never yet."""
+        return 0
+
+    def memory(self) -> str:
+        """Return what `DeviceProtocol.resumed` needs to go on later, for a device that announces itself only once."""
+        return ""
+
     def probe(self) -> None:  # noqa: B027 - for protocols that can ask
         """Ask something that a working device answers (TopicsAnswered), at most once a second.
 
@@ -279,6 +288,18 @@ class DeviceProtocol(ABC):
         self, catalog: Catalog, *, uart_bytes_s: int | None = None, max_topics: int = 256, is_lossy: bool = False
     ) -> DeviceSession:
         """Create the session of a new connection. `is_lossy`: the transport may lose messages without a trace."""
+
+    def resumed(
+        self,
+        catalog: Catalog,
+        memory: str,  # noqa: ARG002 - for protocols whose devices announce themselves only once
+        *,
+        uart_bytes_s: int | None = None,
+        max_topics: int = 256,
+        is_lossy: bool = False,
+    ) -> DeviceSession:
+        """Create the session of a connection that may go on where the one with this memory ended. It may be damaged."""
+        return self.session(catalog, uart_bytes_s=uart_bytes_s, max_topics=max_topics, is_lossy=is_lossy)
 
     def host_reader(self) -> Callable[[bytes], int]:
         """Return a reader of a captured host's bytes: it counts the requests to the device to announce itself."""

@@ -39,6 +39,9 @@ ANSWER_S: Final = 1.0  # what is not answered until then was lost
 PROBE_S: Final = 0.25
 REPEAT_S: Final = 0.05  # between two zeros
 REPEAT_UNTIL_S: Final = 3.0  # a board that blocks in two publishes takes a zero after 2.0 s
+LISTENING_S: Final = 0.25  # a client that gets nothing sends its HEARTBEAT after 0.1 s, and again after 0.4 s
+LISTENING_PAUSE_S: Final = 1.0  # from the first such time to the next; each is twice as long
+NEVER_MARK: Final = 1 << 60
 IN_FLIGHT_S: Final = 0.5  # a velocity that is not answered until then was lost
 SILENCE_GAPS: Final = 1.5  # a client that publishes is silent for longer only when it waits for an acknowledgement
 SILENCE_S: Final = 0.03
@@ -154,6 +157,8 @@ class XrceClient:
         self.ack_s = float("inf")  # when an ACKNACK that may wait is due
         self.repair_s = float("inf")  # when a client that creates objects is asked whether something was lost
         self._creating_until_s = float("-inf")
+        self._listen_s = self._listening_until_s = float("-inf")
+        self._listen_pause_s = LISTENING_PAUSE_S / 2
         self.heartbeats = 0  # since the last ACKNACK
         self.is_reset_due = False
         self.heard_s = now_s
@@ -391,6 +396,20 @@ class XrceClient:
         if reading is None or reading.stream >= RELIABLE:
             room_bytes = self.output.limit * (room_bytes - SUBHEADER_BYTES)
         return min(room_bytes - SUBHEADER_BYTES, NUMBERS - 1)
+
+    def is_listening(self, now_s: float) -> bool:
+        """Whether the client gets no velocity now, so that it tells its number after a restart of the host.
+
+        Its HEARTBEAT tells it, and is postponed with every message that it gets. It publishes nothing while its history
+        is full of what the host before has not acknowledged.
+        """
+        if not self.is_resumed or self.inputs:
+            return False
+        if now_s >= self._listen_s and self.objects.has_reliable_writer:
+            self._listen_pause_s *= 2
+            self._listen_s, self._listening_until_s = now_s + self._listen_pause_s, now_s + LISTENING_S
+            self.flying_mark, self.flying_until_s = NEVER_MARK, self._listening_until_s
+        return now_s < self._listening_until_s
 
     def note_flying(self, mark: int, now_s: float) -> None:
         """Note that a velocity with a HEARTBEAT was sent."""

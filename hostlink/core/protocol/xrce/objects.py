@@ -251,6 +251,11 @@ class ObjectTable:
         return [*(one for one in participants if one not in found), *found]
 
     @property
+    def has_reliable_writer(self) -> bool:
+        """Whether something is published with acknowledgements."""
+        return any(each.is_reliable for each in self.by_id.values() if each.kind == ObjectKind.DATAWRITER)
+
+    @property
     def node(self) -> str:
         """Name of the first node, with its namespace if it has one; empty if it is unknown."""
         nodes = (each.name for each in self.by_id.values() if each.kind == ObjectKind.PARTICIPANT and each.name)

@@ -6,7 +6,7 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.session import DeviceProtocol
 from hostlink.core.protocol.xrce.framing import FRAMINGS, DatagramFraming, Framing, framing_on
 from hostlink.core.protocol.xrce.payloads import Payloads
-from hostlink.core.protocol.xrce.resume import SessionState
+from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import NAME, XrceSession
 from hostlink.core.protocol.xrce.wire import NO_STREAM, answer_ping, decode_message, is_create_client
 
@@ -27,7 +27,7 @@ class Xrce(DeviceProtocol):
     def on(cls, transport: str, *, velocity_stream: int = NO_STREAM) -> "Xrce":
         """Return the protocol on a transport, as Framing.transport names it; on UDP if it is not known."""
         framing = framing_on(transport)
-        return cls(framing, keeps_datagrams=framing is DatagramFraming, velocity_stream=velocity_stream)
+        return cls(framing, keeps_datagrams=issubclass(framing, DatagramFraming), velocity_stream=velocity_stream)
 
     def session(
         self,
@@ -35,13 +35,19 @@ class Xrce(DeviceProtocol):
         *,
         uart_bytes_s: int | None = None,
         max_topics: int = 256,
-        is_lossy: bool = False,  # noqa: ARG002 - losses are repaired on every transport
+        is_lossy: bool = False,
     ) -> XrceSession:
         """Create the session of a new connection."""
-        return self.resumed(catalog, None, uart_bytes_s=uart_bytes_s, max_topics=max_topics)
+        return self.resumed(catalog, "", uart_bytes_s=uart_bytes_s, max_topics=max_topics, is_lossy=is_lossy)
 
     def resumed(
-        self, catalog: Catalog, state: SessionState | None, *, uart_bytes_s: int | None = None, max_topics: int = 256
+        self,
+        catalog: Catalog,
+        memory: str,
+        *,
+        uart_bytes_s: int | None = None,
+        max_topics: int = 256,
+        is_lossy: bool = False,  # noqa: ARG002 - losses are repaired on every transport
     ) -> XrceSession:
         """Create the session of a connection that may go on where an earlier one ended."""
         return XrceSession(
@@ -50,7 +56,7 @@ class Xrce(DeviceProtocol):
             uart_bytes_s=uart_bytes_s,
             max_topics=max_topics,
             velocity_stream=self._velocity_stream,
-            state=state,
+            state=read_state(memory),
         )
 
     def is_greeting(self, data: bytes) -> bool:
@@ -68,4 +74,4 @@ class Xrce(DeviceProtocol):
         return b"".join(framing.encode(each) for each in answers if each is not None)
 
 
-MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL = (Xrce.on(each.transport) for each in FRAMINGS)
+MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL = (Xrce.on(each.transport) for each in FRAMINGS[:3])

@@ -81,6 +81,7 @@ RESUMED_NUMBERS_MAX: Final = 8192  # that may have passed since the state was st
 ZERO_NUMBERS: Final = (0, 0x5555, 0xAAAA)
 STOP_INTERVAL_S: Final = 0.12  # a client asks for an acknowledgement after 100 ms without a message
 ACKNOWLEDGER: Final = "hostlink.core.protocol.xrce.acknowledging"
+STORED_BITS: Final = 11  # a state is stored again when 2,048 numbers have passed
 ZEROS_BYTES: Final = 64  # of a response whose layout is unknown
 CALLS_MAX: Final = 16  # of one service client or service of the device, waiting
 FRAGMENT_BYTE: Final = bytes((Kind.FRAGMENT,))
@@ -256,7 +257,7 @@ class XrceSession(DeviceSession):
     @property
     def captured_as(self) -> str:
         """Name by which the protocol of a capture is found again: with the transport, which has its own framing."""
-        return f"{NAME}/{self._framing.transport}"
+        return f"{NAME}/{self._framing.captured_as}"
 
     @property
     def bad_checksums(self) -> int:
@@ -289,9 +290,9 @@ class XrceSession(DeviceSession):
                         )
         return found
 
-    def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:  # noqa: ARG002 - each framing finds the next frame
-        """Number of bytes before the first whole frame: 0, because a reader finds it by itself, except on TCP."""
-        return 0
+    def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:
+        """Number of bytes before the first whole message of captured bytes whose beginning is lost."""
+        return self._framing.rest_bytes(pieces)
 
     # -- what the device is -------------------------------------------------------------------------------------------
 
@@ -366,7 +367,7 @@ class XrceSession(DeviceSession):
             client = clients.get(slot)
             if client is not None:
                 found += _announce_client(client, of_client)
-        return b"".join(map(self._framing.encode, found))
+        return self._framing.joined(found)
 
     def probe(self) -> None:
         """Ask something that a working board answers (TopicsAnswered), at most once a second."""
@@ -393,7 +394,7 @@ class XrceSession(DeviceSession):
             message = self._velocity(client, endpoint, content)
             client.zeros.pop(endpoint.id, None)
             self._drop_samples(client, endpoint)
-            if client.is_slow and client.flying_until_s > self._now_s:
+            if client.is_listening(self._now_s) or (client.is_slow and client.flying_until_s > self._now_s):
                 self.outbox.replaced += endpoint.id in client.held
                 client.held[endpoint.id] = (message, is_kept)
             else:
@@ -1105,8 +1106,23 @@ class XrceSession(DeviceSession):
 
     # -- going on after a restart of the host -------------------------------------------------------------------------
 
+    @property
+    def memory_version(self) -> int:
+        """Number that changes when `memory` is worth keeping: with the objects, and while numbers pass."""
+        if not self.state_version:
+            return 0
+        return self.state_version << 8 | sum(each.output.first >> STORED_BITS for each in self._clients.values()) & 0xFF
+
+    def memory(self) -> str:
+        """Return the state as text; empty if there is nothing to go on with."""
+        state = self.state()
+        return state.to_json() if state.clients else ""
+
     def state(self) -> SessionState:
-        """Return what a later session needs to go on. It changed when `state_version` did."""
+        """Return what a later session needs to go on. It changed when `state_version` did.
+
+        It has also what is resumed, and waits for its board.
+        """
         return SessionState(
             tuple(
                 ClientState(
@@ -1116,7 +1132,7 @@ class XrceSession(DeviceSession):
                     tuple(payload for id_, payload in each.reads.items() if id_ in each.objects.by_id),
                 )
                 for each in self._clients.values()
-                if each.is_confirmed
+                if each.is_confirmed or each.is_resumed
             )
         )
 

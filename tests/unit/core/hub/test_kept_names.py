@@ -11,9 +11,10 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.core.config import Config, SerialConfig, TcpConfig, UdpConfig
-from hostlink.core.hub import kept_names as module
+from hostlink.core.hub import kept as module
 from hostlink.core.hub.hub import Hub
-from hostlink.core.hub.kept_names import DAMAGED, FILE, MAX_FILE_BYTES, NamesFile, folder_of, kept_names
+from hostlink.core.hub.kept import MAX_FILE_BYTES, KeptFile, folder_of
+from hostlink.core.hub.kept_names import NAMES, Names, kept_names
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.names import Remembered
 from hostlink.core.runtime.folders import FolderTaken
@@ -36,7 +37,7 @@ def in_kept_hub(folder: Path, test: Callable[[MemoryHub], Coroutine[Any, Any, No
 
     async def run(logs: list[Any]) -> None:
         hub = Hub(Config(), CATALOG, reraises=True, guard=RecordingGuard())
-        async with running(hub), kept_names(hub.links, NamesFile(folder)):
+        async with running(hub), kept_names(hub.links, KeptFile(folder, NAMES, Names)):
             await test(MemoryHub(hub, RecordingGuard(), logs))
 
     with capture_logs() as logs:
@@ -48,7 +49,7 @@ def read(folder: Path) -> dict[str, Remembered]:
     """Read the file when the hub's thread, which may still write, has left it."""
     deadline_s = time.monotonic() + TIMEOUT_S
     while True:
-        file = NamesFile(folder)
+        file = KeptFile(folder, NAMES, Names)
         try:
             return file.read()
         except FolderTaken:
@@ -83,19 +84,19 @@ def test_unnamed_boards_keep_their_names_over_a_restart_in_another_order(tmp_pat
 
 @pytest.mark.parametrize("data", [b"{", b"[]", b'{"robot_0": 3}', b"\xff", b" " * (MAX_FILE_BYTES + 1)])
 def test_damaged_file_is_set_aside_with_a_warning(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / FILE).write_bytes(data)
+    (tmp_path / "names.json").write_bytes(data)
 
     async def test(made: MemoryHub) -> None:
         assert await named(made, "10.0.0.7") == "robot_0"
 
     (warning,) = in_kept_hub(tmp_path, test)
     assert warning["event"] == "names.damaged"
-    assert (tmp_path / DAMAGED).read_bytes() == data
+    assert (tmp_path / "names.json.damaged").read_bytes() == data
     assert read(tmp_path) == {"robot_0": V}
 
 
 def test_second_daemon_on_one_folder_runs_without_and_leaves_the_names(tmp_path: Path) -> None:
-    owner = NamesFile(tmp_path)
+    owner = KeptFile(tmp_path, NAMES, Names)
     owner.read()
     owner.write({"robot_4": V})
 
@@ -118,13 +119,13 @@ def test_folder_that_cannot_be_written_is_said_once(tmp_path: Path) -> None:
 
 
 def test_disk_that_fails_later_is_said_once_and_the_daemon_runs_on(tmp_path: Path) -> None:
-    class Full(NamesFile):
+    class Full(KeptFile[Names]):
         def write(self, names: object) -> None:  # noqa: ARG002 - the disk is full
             raise OSError("no space left")
 
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True, guard=RecordingGuard())
-        async with running(hub), kept_names(hub.links, Full(tmp_path)):
+        async with running(hub), kept_names(hub.links, Full(tmp_path, NAMES, Names)):
             made = MemoryHub(hub, RecordingGuard(), [])
             for number in range(3):
                 await named(made, f"10.0.0.{number}")
@@ -151,7 +152,7 @@ def test_file_is_free_when_a_write_that_was_not_waited_for_is_done(
 
     assert in_kept_hub(tmp_path, test) == []
     with pytest.raises(FolderTaken):
-        NamesFile(tmp_path).read()
+        KeptFile(tmp_path, NAMES, Names).read()
     answers.set()
     assert read(tmp_path) == {"robot_0": V}
 
@@ -160,9 +161,11 @@ def test_each_port_has_its_own_names_and_a_random_port_has_none(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    assert folder_of(Config()) == tmp_path / "names" / "11411"
-    assert folder_of(Config(tcp=TcpConfig(port=0))) is None
-    assert folder_of(Config(tcp=TcpConfig(port=0), udp=UdpConfig(port=0))) is None  # no device finds the next daemon
-    assert folder_of(Config(tcp=TcpConfig(port=0), udp=UdpConfig(port=4000))) == tmp_path / "names" / "4000"
+    assert folder_of(Config(), NAMES) == tmp_path / "names" / "11411"
+    assert folder_of(Config(tcp=TcpConfig(port=0)), NAMES) is None
+    assert (
+        folder_of(Config(tcp=TcpConfig(port=0), udp=UdpConfig(port=0)), NAMES) is None
+    )  # no device finds the next daemon
+    assert folder_of(Config(tcp=TcpConfig(port=0), udp=UdpConfig(port=4000)), NAMES) == tmp_path / "names" / "4000"
     serial = (SerialConfig(path="/dev/ttyUSB0"),)
-    assert folder_of(Config(tcp=TcpConfig(port=0), serial=serial)) == tmp_path / "names" / "0"
+    assert folder_of(Config(tcp=TcpConfig(port=0), serial=serial), NAMES) == tmp_path / "names" / "0"

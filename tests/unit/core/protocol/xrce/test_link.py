@@ -9,13 +9,12 @@ import contextlib
 from random import Random
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.cdr import cdr_of
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP, Xrce
-from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import XrceSession
 from hostlink.errors import HostlinkError
 from tests.support.xrce_board import TWIST, Client, Datagrams, Lengths, Link, Program, Published, Serial, Stock, World
@@ -173,7 +172,7 @@ def usable(drive: Drive, within_s: float) -> None:
 
 def resumed(session: XrceSession) -> XrceSession:
     """A session that continues from what the earlier one had stored."""
-    return MICRO_ROS_UDP.resumed(CATALOG, read_state(session.state().to_json()))
+    return MICRO_ROS_UDP.resumed(CATALOG, session.memory())
 
 
 @pytest.mark.slow
@@ -201,6 +200,7 @@ def off() -> Program:
 
 
 @pytest.mark.slow
+@example(seed=767, at_s=0.375, loss=0.0, away_s=3.0, has_state=True)  # its history is full, and commands go on
 @given(st.integers(0, 1000), st.floats(0.0, 2.0), st.sampled_from([0.0, 0.05, 0.2]), st.floats(0.0, 3.0), st.booleans())
 def test_host_that_restarts_at_any_time_drives_the_board_again(
     seed: int, at_s: float, loss: float, away_s: float, has_state: bool

@@ -47,7 +47,7 @@ def cdr(name: str, message: dict[str, object]) -> bytes:
 
 
 def made(**settings: int) -> XrceSession:
-    return MICRO_ROS_UDP.resumed(CATALOG, None, **settings)
+    return MICRO_ROS_UDP.resumed(CATALOG, "", **settings)
 
 
 def idle() -> Program:
@@ -1232,7 +1232,9 @@ def test_protocol_knows_its_greeting_and_answers_pings_without_a_session() -> No
 
 
 def restarted(here: World, state: SessionState | None = None) -> World:
-    here.restart_host(MICRO_ROS_UDP.resumed(CATALOG, here.session.state() if state is None else state), away_s=0.5)
+    here.restart_host(
+        MICRO_ROS_UDP.resumed(CATALOG, (here.session.state() if state is None else state).to_json()), away_s=0.5
+    )
     here.found.clear()
     return here
 
@@ -1399,7 +1401,7 @@ def test_any_bytes_in_any_state_raise_nothing_and_a_new_client_recovers(
     drawn: list[tuple[bytes, float]], is_connected: bool, is_resumed: bool
 ) -> None:
     here = connected() if is_connected else world()
-    session = MICRO_ROS_UDP.resumed(CATALOG, here.session.state()) if is_resumed else here.session
+    session = MICRO_ROS_UDP.resumed(CATALOG, here.session.memory()) if is_resumed else here.session
     now_s = here.now_s
     session.open(now_s=now_s)
     for data, pause_s in drawn:

@@ -1,0 +1,74 @@
+"""Memories: what the sessions of devices need to go on where they ended, also after a restart of the daemon.
+
+A device that never announces itself again would otherwise be deaf for ever: micro-ROS boards without code to reconnect.
+"""
+
+from collections.abc import Callable, Iterable
+
+from hostlink.core.link.link import Link
+from hostlink.core.protocol.session import DeviceProtocol
+
+MOST = 256  # devices; the ones whose memory changed least recently are forgotten
+MOST_CHARS = 16 * 1024  # of one device: forty topics with long names
+TCP = "tcp"  # a connection ends with the daemon, and the next one is of another port
+
+Texts = dict[str, str]
+
+
+class Memories:
+    """The memories by protocol and place: the port of a device, or the address and port that it sends from."""
+
+    def __init__(self) -> None:
+        self.on_change: Callable[[], None] = lambda: None
+        self.texts: Texts = {}  # the one that changed last is the last
+        self._versions: dict[int, int] = {}  # of each link, as noted
+
+    def restore(self, texts: Texts) -> None:
+        """Remember what was kept before this start."""
+        self.texts = dict(list(texts.items())[-MOST:])
+
+    def of(self, protocol: DeviceProtocol, kind: str, peer: str, address: str) -> str:
+        """Return the memory of the device at a place; empty if there is none."""
+        return self.texts.get(_key(protocol.name, kind, peer, address), "")
+
+    def has(self, protocol: DeviceProtocol, kind: str, peer: str, address: str = "") -> bool:
+        """Whether there is a memory of the device at a place."""
+        return _key(protocol.name, kind, peer, address) in self.texts
+
+    def peers(self, protocol: DeviceProtocol, kind: str) -> list[str]:
+        """Return the places on one kind of transport of which there is a memory."""
+        start = _key(protocol.name, kind, "", "")
+        return [key.removeprefix(start) for key in self.texts if key.startswith(start)]
+
+    def forget(self, protocol: DeviceProtocol, kind: str, peer: str, address: str = "") -> None:
+        """Forget the device at a place: it begins anew, or another one is there."""
+        if self.texts.pop(_key(protocol.name, kind, peer, address), None) is not None:
+            self.on_change()
+
+    def note(self, links: Iterable[Link]) -> None:
+        """Note what has changed in the sessions of these links."""
+        for link in links:
+            session = link.session
+            version = session.memory_version
+            if version != self._versions.get(link.number, 0) and link.kind != TCP:
+                self._versions[link.number] = version
+                self._put(_key(session.protocol, link.kind, link.peer, link.address), session.memory())
+
+    def leave(self, link: Link) -> None:
+        """Note the last memory of a link that has ended."""
+        self.note((link,))
+        self._versions.pop(link.number, None)
+
+    def _put(self, key: str, text: str) -> None:
+        before = self.texts.pop(key, "")
+        if text and len(text) <= MOST_CHARS:
+            self.texts[key] = text
+            if len(self.texts) > MOST:
+                del self.texts[next(iter(self.texts))]
+        if text != before:
+            self.on_change()
+
+
+def _key(protocol: str, kind: str, peer: str, address: str) -> str:
+    """Return the key of a place. The name of a serial port stays when the path of its device changes."""
+    return f"{protocol} {kind} {address if kind == 'serial' else peer}"
