@@ -28,7 +28,7 @@ class Xrce(DeviceProtocol):
     def on(cls, transport: str, *, velocity_stream: int = NO_STREAM) -> "Xrce":
         """Return the protocol on a transport, as Framing.transport names it; on UDP if it is not known."""
         framing = framing_on(transport)
-        return cls(framing, keeps_datagrams=framing is DatagramFraming, velocity_stream=velocity_stream)
+        return cls(framing, keeps_datagrams=issubclass(framing, DatagramFraming), velocity_stream=velocity_stream)
 
     def session(
         self,
@@ -75,4 +75,4 @@ class Xrce(DeviceProtocol):
         return b"".join(framing.encode(each) for each in answers if each is not None)
 
 
-MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL = (Xrce.on(each.transport) for each in FRAMINGS)
+MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL = (Xrce.on(each.transport) for each in FRAMINGS[:3])
