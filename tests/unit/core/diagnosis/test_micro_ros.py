@@ -19,10 +19,10 @@ from hostlink.core.protocol.resampling import resample
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.core.protocol.session import DeviceProtocol
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP
-from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import XrceSession
 from hostlink.errors import HostlinkError
 from tests.support.xrce_board import (
+    DELETE,
     GET_INFO,
     PARTICIPANT,
     PUBLISHER,
@@ -371,7 +371,7 @@ def restarting(*, says_goodbye: bool, key_changes: bool) -> Watched:
             while client.now_s < until_s:
                 yield from client.listen(0.5)
             if says_goodbye:
-                yield from client.delete(0xFFFE)
+                client.send(0, 0, sub(DELETE, client.request().to_bytes(2) + b"\xff\xfe"))
             if key_changes:
                 client.key = (int.from_bytes(client.key) + 1).to_bytes(4)
 
@@ -391,8 +391,7 @@ def test_objects_that_are_created_again_every_few_seconds_are_found(*, says_good
 def test_board_without_code_to_reconnect_is_found_after_a_restart_of_the_host() -> None:
     before = Watched((board := stock(restarts=False)).run(), board.client)
     before.world.run(3.0)
-    state = read_state(before.world.session.state().to_json())
-    session = MICRO_ROS_UDP.resumed(CATALOG, state)
+    session = MICRO_ROS_UDP.resumed(CATALOG, before.world.session.memory())
     after = Watched(iter_of(before), before.world.client, session=session)
     assert after.found(20.0) == {}
     assert after.found(45.0).keys() == {"no_reconnect"}
