@@ -14,10 +14,10 @@ from hostlink.core.diagnosis.rules import diagnose
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.cdr import cdr_of
 from hostlink.core.protocol.events import MessageReceived
-from hostlink.core.protocol.line_speed import MICRO_ROS_PINGS
 from hostlink.core.protocol.resampling import resample
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.core.protocol.session import DeviceProtocol
+from hostlink.core.protocol.xrce.findings import PINGS
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP
 from hostlink.core.protocol.xrce.session import XrceSession
 from hostlink.errors import HostlinkError
@@ -237,7 +237,7 @@ def test_faster_board_is_not_given_a_wrong_rate(sent: int, read: int) -> None:
 
 
 def test_ping_is_the_frame_that_the_guess_at_a_rate_knows() -> None:
-    assert Serial().encode(PING) * 8 == MICRO_ROS_PINGS
+    assert Serial().encode(PING) * 8 == PINGS
 
 
 def test_text_boot_message_and_noise_on_the_line_are_named() -> None:
