@@ -95,7 +95,12 @@ def fitted(config: Config, descriptors: int) -> Config:
 
 def _other_ports(config: Config) -> dict[str, TcpConfig | UdpConfig]:
     """Return the settings of every port for devices but the first, by their name in the file."""
-    found = {"udp": config.udp, "micro_ros.udp": config.micro_ros.udp, "micro_ros.tcp": config.micro_ros.tcp}
+    udp, tcp = config.micro_ros.udp, config.micro_ros.tcp
+    found = {
+        "udp": config.udp,
+        "micro_ros.udp": None if udp is None else udp.listening(),
+        "micro_ros.tcp": None if tcp is None else tcp.listening(),
+    }
     return {name: part for name, part in found.items() if part is not None}
 
 
@@ -154,10 +159,10 @@ def describe(config: Config) -> list[str]:
         believed = f"; {', '.join((*udp.trusted, *udp.devices))} trusted" if udp.trusted or udp.devices else ""
         where = spelled(udp.host, udp.port)
         lines.append(f"devices on UDP {where}, from {_describe_who(udp)}, at most {udp.max_connections}{believed}")
-    for name, part in (("UDP", config.micro_ros.udp), ("TCP", config.micro_ros.tcp)):
-        if part is not None:
+    for name, part in _other_ports(config).items():
+        if part is not udp:
             where, most = spelled(part.host, part.port), part.max_connections
-            lines.append(f"micro-ROS boards on {name} {where}, from {_describe_who(part)}, at most {most}")
+            lines.append(f"micro-ROS boards on {name[-3:].upper()} {where}, from {_describe_who(part)}, at most {most}")
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
     lines.append(f"programs on {'http' if api.certificate is None else 'https'}://{spelled(api.host, api.port)}")
     if config.ros1.master:

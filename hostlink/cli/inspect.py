@@ -14,7 +14,16 @@ from hostlink.cli.output import fitted_table, write
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.message_type import MessageType
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind, to_device_key
-from hostlink.core.protocol.events import Parameter
+from hostlink.core.protocol.events import (
+    Event,
+    MessageReceived,
+    Parameter,
+    ServiceRequested,
+    ServiceResponded,
+    TimeRequested,
+    TopicsNegotiated,
+)
+from hostlink.core.protocol.registry import find_protocol
 from hostlink.core.protocol.rosserial.control import (
     decode_log,
     decode_parameter,
@@ -22,7 +31,9 @@ from hostlink.core.protocol.rosserial.control import (
     decode_topic_info,
 )
 from hostlink.core.protocol.rosserial.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
+from hostlink.core.protocol.rosserial.session import NAME as ROSSERIAL
 from hostlink.core.protocol.rosserial.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
+from hostlink.core.protocol.session import DeviceSession
 from hostlink.core.runtime.capture_file import Read, load_reads
 from hostlink.errors import BadPayload, WrongType
 
@@ -100,10 +111,14 @@ class Inspection:
         self._time_requests = 0
         self._skipped_bytes = 0
         self._catalog = catalog
+        self._others: dict[int, DeviceSession] = {}  # of connections with another protocol than rosserial
 
     def add_all(self, reads: Iterable[Read]) -> None:
         """Add every read in order, then the incomplete frames at the end."""
         for read in reads:
+            if read.conn in self._others or read.protocol != ROSSERIAL:
+                self._add_other(read)
+                continue
             connection = self._connections.get(read.conn)
             if connection is None:
                 connection = self._connections[read.conn] = _InspectedConnection(self._fixed_bytes)
@@ -114,6 +129,34 @@ class Inspection:
                 self._add_items(connection, connection.to_device.feed(bytes.fromhex(read.hex)), self._from_host)
         for connection in self._connections.values():
             self._finish(connection)
+        for session in self._others.values():
+            self._skipped_bytes += session.counts.skipped_bytes
+
+    def _add_other(self, read: Read) -> None:
+        """Add a read of a connection of another protocol: what the device announced and sent."""
+        session = self._others.get(read.conn)
+        if session is None:
+            session = self._others[read.conn] = find_protocol(read.protocol).session(self._catalog)
+            session.open(now_s=read.t)
+        found = session.tick(now_s=read.t) if session.deadline_s() <= read.t else []
+        if read.dir == "device" and read.hex:
+            found += session.receive(bytes.fromhex(read.hex), now_s=read.t)
+        for event in found:
+            self._add_event(event)
+
+    def _add_event(self, event: Event) -> None:
+        match event:
+            case TopicsNegotiated():
+                self._topics |= {(info.kind, info.id, info.name): info for info in event.topics}
+            case MessageReceived():
+                info = event.topic
+                self._messages.setdefault(info.name, Series(self._type_of(info))).add(event.payload)
+            case ServiceRequested() | ServiceResponded():
+                name = event.service.name
+                counts = self._services.setdefault(name, {"requests": 0, "responses": 0})
+                counts["requests" if isinstance(event, ServiceRequested) else "responses"] += 1
+            case TimeRequested():
+                self._time_requests += 1
 
     def view(self) -> dict[str, Any]:
         """Return the whole capture as one JSON object."""
@@ -126,7 +169,7 @@ class Inspection:
             "services": self._services,
             "time_requests": self._time_requests,
             "skipped_bytes": self._skipped_bytes,
-            "connections": len(self._connections),
+            "connections": len(self._connections) + len(self._others),
         }
 
     def _add_items(
@@ -190,6 +233,8 @@ class Inspection:
             connection.early.append(frame)
 
     def _type_of(self, info: DeviceEndpoint) -> MessageType | None:
+        if not info.md5:  # a protocol that tells none
+            return self._catalog.message(info.type)
         try:
             return self._catalog.check_message(info.name, info.type, info.md5)
         except WrongType:

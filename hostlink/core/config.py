@@ -88,40 +88,52 @@ ROSSERIAL, MICRO_ROS = "rosserial", "micro-ros"  # protocols, as settings name t
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MicroRosUdpConfig(UdpConfig):
-    """UDP port for micro-ROS boards. They know no key."""
+class MicroRosUdpConfig:
+    """UDP port for micro-ROS boards, which can prove no key."""
 
-    host: str = "127.0.0.1"  # closed to the network until another address is configured: boards prove nothing
+    host: str = "127.0.0.1"  # closed to the network until another address is configured
     port: int = 8888  # of the micro-ROS agent
+    allow: tuple[str, ...] = ()  # as those of UdpConfig
     trusted: tuple[str, ...] = ("127.0.0.0/8", "::1/128")  # the system lets no such source address in
-    protocol: str = MICRO_ROS
+    max_connections: int = 256
+    max_connections_per_address: int = 64
 
     def __post_init__(self) -> None:
-        UdpConfig.__post_init__(self)  # a class with slots has no `super()`
-        if self.devices:
-            raise ValueError("a micro-ROS board begins by itself: remove devices")
-        _refuse_key(self)
+        self.listening()
+
+    def listening(self) -> UdpConfig:
+        """Return the settings of the port.
+
+        Raises:
+            ValueError: as from UdpConfig.
+        """
+        return UdpConfig(**_fields_of(self), protocol=MICRO_ROS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MicroRosTcpConfig(TcpConfig):
+class MicroRosTcpConfig:
     """TCP port for micro-ROS boards."""
 
     host: str = "127.0.0.1"
     port: int = 8888
-    protocol: str = MICRO_ROS
+    allow: tuple[str, ...] = ()
+    max_connections: int = 256
+    max_connections_per_address: int = 64
 
     def __post_init__(self) -> None:
-        TcpConfig.__post_init__(self)
-        if self.mdns:
-            raise ValueError("only the port of rosserial devices can be advertised: remove mdns")
-        _refuse_key(self)
+        self.listening()
+
+    def listening(self) -> TcpConfig:
+        """Return the settings of the port.
+
+        Raises:
+            ValueError: as from TcpConfig.
+        """
+        return TcpConfig(**_fields_of(self), protocol=MICRO_ROS)
 
 
-def _refuse_key(config: TcpConfig | UdpConfig) -> None:
-    """Refuse settings of keys, which the protocol does not have."""
-    if config.key_file is not None or config.keyless:
-        raise ValueError("a micro-ROS board cannot prove a key: remove key_file and keyless, and use allow")
+def _fields_of(config: MicroRosUdpConfig | MicroRosTcpConfig) -> dict[str, Any]:
+    return {each.name: getattr(config, each.name) for each in dataclasses.fields(config)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

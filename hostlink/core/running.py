@@ -153,13 +153,16 @@ async def _micro_ros(hub: Hub, config: MicroRosConfig) -> AsyncIterator[tuple[st
     """Open the ports for micro-ROS boards that are configured. Return their addresses."""
     found: list[str] = []
     async with contextlib.AsyncExitStack() as ports:
-        udp = await ports.enter_async_context(_datagrams(hub, config.udp, "--micro-ros udp://"))
+        udp = await ports.enter_async_context(
+            _datagrams(hub, None if config.udp is None else config.udp.listening(), "--micro-ros udp://")
+        )
         if udp is not None:
             found.append(f"udp://{spelled(*udp)}")
         if config.tcp is not None:
-            acceptor = TcpAcceptor(hub, config.tcp)
+            listening = config.tcp.listening()
+            acceptor = TcpAcceptor(hub, listening)
             serving = serve_tcp(
-                config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, option="--micro-ros tcp://"
+                listening, acceptor.accept, on_exhausted=acceptor.note_exhausted, option="--micro-ros tcp://"
             )
             listener = await ports.enter_async_context(serving)
             found.append(f"tcp://{spelled(*listener.address)}")

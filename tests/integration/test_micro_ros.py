@@ -5,13 +5,20 @@ import contextlib
 import os
 import socket
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.cli.inspect import Inspection
+from hostlink.cli.probe import probe_capture
 from hostlink.core.config import Config, MicroRosConfig, MicroRosTcpConfig, MicroRosUdpConfig, SerialConfig
+from hostlink.core.link import capture_buffer
+from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
+from hostlink.core.runtime.capture_file import load_reads
 from hostlink.core.transport.udp import CREDIT_BYTES
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import robot_topics
@@ -133,6 +140,38 @@ async def test_rosserial_and_micro_ros_take_turns_at_one_port_that_stays_open() 
                 found = [line["protocol"] for line in lines if line["event"] == "serial.protocol_found"]
                 assert found == ["micro-ROS", "rosserial"] * count
         assert not [line for line in lines if line["event"] == "serial.waiting"]
+
+
+@pytest.mark.parametrize("way", ["udp", "tcp", "serial"])
+@pytest.mark.parametrize("is_beginning_lost", [False, True])
+async def test_capture_of_a_board_is_read_by_doctor_and_inspect(
+    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_beginning_lost: bool
+) -> None:
+    if is_beginning_lost:
+        monkeypatch.setattr(capture_buffer, "CAPTURE_BYTES", 8192)
+    with serial_port() as (descriptor, path):
+        async with daemon(replace(CONFIG, serial=(SerialConfig(path=path, baud=115200),))) as host:
+            boards = {
+                "udp": lambda: udp_board(address_of(host, "udp")),
+                "tcp": lambda: tcp_board(address_of(host, "tcp")),
+                "serial": lambda: serial_board(descriptor),
+            }
+            async with boards[way]() as device:
+                await expect(lambda: len(device.stock.published) > 80)
+                (number,) = [each.number for each in host.hub.links.all() if each.session.topics]
+                async with host.session.get(f"{host.url}/api/links/{number}/capture") as response:
+                    lines = await response.read()
+    file = tmp_path / "capture.jsonl"
+    file.write_bytes(lines)
+    assert (b'"event":"topics"' in lines) is is_beginning_lost
+    (link,) = probe_capture(file, ())["links"]
+    assert link["topics"] == 3, link
+    inspection = Inspection(Catalog())
+    inspection.add_all(load_reads(file))
+    view = inspection.view()
+    assert {each["name"] for each in view["topics"]} == {"/cmd_vel", "/odom/unfiltered", "/imu/data"}
+    assert view["messages"]["/odom/unfiltered"]["last"]["pose"]["pose"]["position"]["x"] == 0.5
+    assert view["skipped_bytes"] == 0
 
 
 def protocols_of_robots(host: Daemon) -> list[str]:

@@ -58,7 +58,7 @@ class Device:
         await asyncio.Future()
 
     async def _wait(self, until_s: float) -> bytes | None:
-        """Wait until then, and return a message that comes before, if the program wants one."""
+        """Wait until that time, or until a message arrives that the program reads. Return the message."""
         if until_s < 0:
             await asyncio.sleep(-until_s - time.monotonic())
             return None

@@ -73,7 +73,7 @@ def stands(speed: float) -> bool:
 
 
 def of(tmp_path: Path) -> dict[str, Any]:
-    """What every start of one daemon has in common."""
+    """The arguments that every start of the daemon has."""
     return {"environment": {"XDG_STATE_HOME": str(tmp_path)}}
 
 

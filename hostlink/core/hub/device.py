@@ -460,7 +460,7 @@ class Device:
         elif info.kind is EndpointKind.SERVICE_SERVER_SUBSCRIBER:
             type_ = self._shared.catalog.service(info.type)
             service = DeviceService(name, info.type, type_, self.link, lambda payload: self._call(info.name, payload))
-            service.md5_sums = self._md5_sums(info.name)
+            service.encoding = (self.link.session.protocol, *self._md5_sums(info.name))
             self._shared.services.add_device_service(service)
             self.services[info.name] = service
 

@@ -150,10 +150,11 @@ class DeviceCalls:
             return error
 
     async def _pass_on(self, call: _DeviceCall) -> bytes:
-        """Call a device whose program was built from the same definition. The host needs no definition then."""
+        """Call a device whose program encodes the same type alike. The host needs no definition then."""
         service = self._services.of_device(self._name_of(call.link, call.endpoint.name))
-        sums = (call.endpoint.md5, call.link.session.response_endpoint(call.endpoint).md5)
-        if service is not None and service.md5_sums == sums:
+        session, type_name = call.link.session, call.endpoint.type
+        encoding = (session.protocol, call.endpoint.md5, session.response_endpoint(call.endpoint).md5)
+        if service is not None and service.type_name == type_name and service.encoding == encoding:
             return await service.call(call.payload, timeout_s=DEVICE_TIMEOUT_S)
         raise WrongType(call.endpoint.name, "a service type with a definition", call.endpoint.type)
 

@@ -101,7 +101,7 @@ class Links:
     def open(self, transport: Transport, protocol: DeviceProtocol, link_config: LinkConfig | None = None) -> Link:
         """Create the link of one connection, whose device speaks this protocol. `serve` must follow.
 
-        It goes on where the last one with this device ended, if there is a memory of it.
+        If this device is remembered, the link continues where the last one ended.
         """
         shared = self._shared
         config = shared.config.link if link_config is None else link_config

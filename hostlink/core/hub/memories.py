@@ -16,7 +16,7 @@ Texts = dict[str, str]
 
 
 class Memories:
-    """By protocol and place: the port that is its address, or the address and port that it sends from."""
+    """The memories by protocol and place: the port of a device, or the address and port that it sends from."""
 
     def __init__(self) -> None:
         self.on_change: Callable[[], None] = lambda: None

@@ -48,7 +48,9 @@ class DeviceService:
 
     def __init__(self, name: str, type_name: str, type_: ServiceType | None, key: Hashable, send: Send) -> None:
         self.name, self.type_name, self.type, self.key = name, type_name, type_, key
-        self.md5_sums = ("", "")  # of requests and responses, as the device announced them
+        # Protocol of the device, and the sums of requests and responses as it announced them. With the same type they
+        # tell that another device encodes them alike.
+        self.encoding = ("", "", "")
         self._send = send
         self._calls = 0
         self._turn = asyncio.Lock()  # queue of the calls: the protocol allows one at a time

@@ -10,6 +10,7 @@ On a serial line 7E begins a frame everywhere, also inside a broken one.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from typing import Final
 
 from hostlink.core.runtime.compiled import mypyc_attr
@@ -25,6 +26,8 @@ _CRC_BYTES: Final = 2
 _HOST: Final = 0x00  # addresses on a serial line
 _DEVICE: Final = 0x01
 LEAST_BYTES: Final = 4  # a header
+JOINED: Final = b"\xff\xff\xff\xffjoined"  # before messages of a capture; no client has these numbers
+SURE_MESSAGES: Final = 4
 
 
 def _crc_table() -> tuple[int, ...]:
@@ -69,6 +72,19 @@ class Framing(ABC):
     def encode(self, message: bytes) -> bytes:
         """Return the bytes of a message on this transport."""
 
+    @property
+    def captured_as(self) -> str:
+        """Transport of the framing that reads a capture."""
+        return self.transport
+
+    def joined(self, messages: Iterable[bytes]) -> bytes:
+        """Return the bytes of several messages at the beginning of a capture."""
+        return b"".join(map(self.encode, messages))
+
+    @abstractmethod
+    def rest_bytes(self, pieces: Iterable[bytes]) -> int:
+        """Number of bytes before the first whole message of captured pieces whose beginning is lost."""
+
     def _skip(self, data: bytes) -> None:
         if data:
             self.skipped.append(data)
@@ -86,6 +102,35 @@ class DatagramFraming(Framing):
 
     def encode(self, message: bytes) -> bytes:
         return message
+
+    @property
+    def captured_as(self) -> str:
+        return CapturedDatagramFraming.transport
+
+    def joined(self, messages: Iterable[bytes]) -> bytes:
+        """Return the messages with their lengths, because nothing else divides them: CapturedDatagramFraming."""
+        return JOINED + b"".join(len(each).to_bytes(_LENGTH_BYTES, "little") + each for each in messages) + bytes(2)
+
+    def rest_bytes(self, pieces: Iterable[bytes]) -> int:
+        return len(next(iter(pieces), b""))  # it may be the end of a datagram
+
+
+class CapturedDatagramFraming(DatagramFraming):
+    """The framing of a capture of datagrams. The first one may have joined messages before it."""
+
+    transport = "datagrams"
+
+    def feed(self, data: bytes) -> list[bytes]:
+        self.skipped = []
+        if not data.startswith(JOINED):
+            return [data]
+        found, at = list[bytes](), len(JOINED)
+        while size := int.from_bytes(data[at : at + _LENGTH_BYTES], "little"):
+            at += _LENGTH_BYTES
+            found.append(data[at : at + size])
+            at += size
+        rest = data[at + _LENGTH_BYTES :]
+        return [*found, rest] if rest else found
 
 
 class LengthFraming(Framing):
@@ -109,6 +154,22 @@ class LengthFraming(Framing):
             at = end
         self._pending = pending[at:]
         return found
+
+    def rest_bytes(self, pieces: Iterable[bytes]) -> int:
+        data = b"".join(pieces)
+        starts = (at for at in range(min(len(data), self.limit_bytes)) if self._is_start(data, at))
+        return next(starts, len(data))
+
+    def _is_start(self, data: bytes, at: int) -> bool:
+        """Whether SURE_MESSAGES of one session begin there, one behind the other."""
+        session = data[at + _LENGTH_BYTES : at + _LENGTH_BYTES + 1]
+        for _ in range(SURE_MESSAGES):
+            size = int.from_bytes(data[at : at + _LENGTH_BYTES], "little")
+            start = at + _LENGTH_BYTES
+            if size < LEAST_BYTES or len(data) < start + size or data[start : start + 1] != session:
+                return False
+            at = start + size
+        return True
 
     def encode(self, message: bytes) -> bytes:
         return len(message).to_bytes(_LENGTH_BYTES, "little") + message
@@ -180,6 +241,11 @@ class SerialFraming(Framing):
             else:
                 self._plain += piece
         self._is_escaped = is_escaped
+
+    def rest_bytes(self, pieces: Iterable[bytes]) -> int:
+        data = b"".join(pieces)
+        at = data.find(_BEGIN)
+        return len(data) if at < 0 else at
 
     def encode(self, message: bytes) -> bytes:
         """Return a frame from the host to the device."""

@@ -4,7 +4,13 @@ from collections.abc import Callable
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.session import DeviceProtocol
-from hostlink.core.protocol.xrce.framing import DatagramFraming, Framing, LengthFraming, SerialFraming
+from hostlink.core.protocol.xrce.framing import (
+    CapturedDatagramFraming,
+    DatagramFraming,
+    Framing,
+    LengthFraming,
+    SerialFraming,
+)
 from hostlink.core.protocol.xrce.payloads import Payloads
 from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import NAME, XrceSession
@@ -27,7 +33,8 @@ class Xrce(DeviceProtocol):
     def on(cls, transport: str, *, velocity_stream: int = NO_STREAM) -> "Xrce":
         """Return the protocol on a transport, as Framing.transport names it; on UDP if it is not known."""
         framing = next((each for each in FRAMINGS if each.transport == transport), DatagramFraming)
-        return cls(framing, keeps_datagrams=framing is DatagramFraming, velocity_stream=velocity_stream)
+        is_whole = issubclass(framing, DatagramFraming)
+        return cls(framing, keeps_datagrams=is_whole, velocity_stream=velocity_stream)
 
     def session(
         self,
@@ -74,5 +81,5 @@ class Xrce(DeviceProtocol):
         return b"".join(framing.encode(each) for each in answers if each is not None)
 
 
-FRAMINGS: tuple[type[Framing], ...] = (DatagramFraming, LengthFraming, SerialFraming)
-MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL = (Xrce.on(each.transport) for each in FRAMINGS)
+FRAMINGS: tuple[type[Framing], ...] = (DatagramFraming, LengthFraming, SerialFraming, CapturedDatagramFraming)
+MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL = (Xrce.on(each.transport) for each in FRAMINGS[:3])

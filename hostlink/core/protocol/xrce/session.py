@@ -272,7 +272,7 @@ class XrceSession(DeviceSession):
     @property
     def captured_as(self) -> str:
         """Name by which the protocol of a capture is found again: with the transport, which has its own framing."""
-        return f"{NAME}/{self._framing.transport}"
+        return f"{NAME}/{self._framing.captured_as}"
 
     @property
     def bad_checksums(self) -> int:
@@ -341,9 +341,9 @@ class XrceSession(DeviceSession):
         )
         return partial(explain, facts)
 
-    def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:  # noqa: ARG002 - each framing finds the next frame
-        """Number of bytes before the first whole frame: 0, because a reader finds it by itself, except on TCP."""
-        return 0
+    def rest_of_frame_bytes(self, pieces: Iterable[bytes]) -> int:
+        """Number of bytes before the first whole message of captured bytes whose beginning is lost."""
+        return self._framing.rest_bytes(pieces)
 
     # -- what the device is -------------------------------------------------------------------------------------------
 
@@ -413,7 +413,7 @@ class XrceSession(DeviceSession):
             client = clients.get(slot)
             if client is not None:
                 found += _announce_client(client, of_client)
-        return b"".join(map(self._framing.encode, found))
+        return self._framing.joined(found)
 
     def probe(self) -> None:
         """Ask something that a working board answers (TopicsAnswered), at most once a second."""

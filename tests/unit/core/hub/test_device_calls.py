@@ -223,15 +223,15 @@ def test_two_devices_of_one_definition_need_none_here() -> None:
     ]
     response = response_type("string output\nint32 n")
 
-    async def run(md5: tuple[str, str]) -> dict[str, Any]:
+    async def run(md5: tuple[str, str], type_name: str = "my_srvs/Mine") -> dict[str, Any]:
         async with (
             running_hub(Hub(Config(), CATALOG, reraises=True)) as hub,
             ros_lib_device(hub, server, response) as callee,
-            ros_lib_device(hub, clients("/go", "my_srvs/Mine", md5=md5), response) as caller,
+            ros_lib_device(hub, clients("/go", type_name, md5=md5), response) as caller,
             asyncio.TaskGroup() as tasks,
         ):
             call = tasks.create_task(caller.device.call(b"anything"))
-            if md5 == UNKNOWN:
+            if (md5, type_name) == (UNKNOWN, "my_srvs/Mine"):
                 while (frame := await callee.device.next()).topic_id != RESPONSES:
                     pass
                 assert frame.payload == b"anything"
@@ -240,6 +240,7 @@ def test_two_devices_of_one_definition_need_none_here() -> None:
 
     assert run_virtual(run(UNKNOWN)) == {"output": "from afar", "n": 7}
     assert run_virtual(run(("0" * 32, "2" * 32))) == {"output": "", "n": 0}
+    assert run_virtual(run(UNKNOWN, "my_srvs/Other")) == {"output": "", "n": 0}
 
 
 def test_two_clients_of_one_service_in_one_device_get_their_own_answers() -> None:

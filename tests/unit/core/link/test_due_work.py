@@ -1,4 +1,4 @@
-"""When a link writes what its session has queued, in virtual time."""
+"""Writes of a link: when it sends what its session has queued, in virtual time."""
 
 import asyncio
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Which of two protocols has the port, in virtual time."""
+"""Turns of two protocols at one port: which of them has it, in virtual time."""
 
 import asyncio
 

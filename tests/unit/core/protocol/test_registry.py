@@ -38,7 +38,9 @@ def test_micro_ros_has_the_framing_of_its_transport_also_in_a_capture() -> None:
             find_protocol(f"micro-ROS/{framing.transport}"),
         ):
             assert framing().feed(protocol.answer_ping(data))
-            assert protocol.session(Catalog()).captured_as == f"micro-ROS/{framing.transport}"
+            captured_as = protocol.session(Catalog()).captured_as
+            assert captured_as == f"micro-ROS/{framing().captured_as}"
+            assert find_protocol(captured_as).answer_ping(data)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hostlink.core.protocol.xrce.framing import (
     BEGIN,
     ESCAPE,
+    CapturedDatagramFraming,
     DatagramFraming,
     Framing,
     LengthFraming,
@@ -125,3 +126,23 @@ def test_escape_at_the_end_of_a_read_belongs_to_the_next(piece: bytes) -> None:
     framing.feed(b"\x7e\0\1")
     framing.feed(piece)
     assert fed(framing, framing.encode(MESSAGE))[0] == [MESSAGE]
+
+
+@given(st.lists(st.binary(min_size=4, max_size=300), max_size=5), st.binary(min_size=1, max_size=100))
+def test_messages_before_a_captured_datagram_are_read_one_by_one(messages: list[bytes], datagram: bytes) -> None:
+    joined = DatagramFraming().joined(messages)
+    assert CapturedDatagramFraming().feed(joined) == messages
+    assert CapturedDatagramFraming().feed(joined + datagram) == [*messages, datagram]
+    assert CapturedDatagramFraming().feed(datagram) == [datagram]
+
+
+@pytest.mark.parametrize("framing", [DatagramFraming, LengthFraming, SerialFraming])
+def test_first_whole_message_of_a_capture_is_found_or_none(framing: type[Framing]) -> None:
+    message = bytes.fromhex("81800500 07010400 00150015")
+    pieces = [framing().encode(message) for _ in range(8)]
+    for cut in range(1, len(pieces[0])):
+        cut_bytes = framing().rest_bytes([pieces[0][cut:], *pieces[1:]])
+        rest = b"".join([pieces[0][cut:], *pieces[1:]])[cut_bytes:]
+        assert rest == b"".join(pieces[1:])
+    assert framing().rest_bytes([]) == 0
+    assert framing().rest_bytes([b"\1\2\3"]) == 3
