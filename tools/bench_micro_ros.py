@@ -57,7 +57,7 @@ NODE, TOPIC, PUBLISHER, WRITER = 0x01, 0x02, 0x03, 0x05
 
 @dataclass(frozen=True)
 class Way:
-    """How boards send: their protocol, and whether micro-ROS publishes reliably. `at_most`: bound of the cost."""
+    """Protocol of the boards, and whether micro-ROS publishes reliably. `at_most`: bound of the cost."""
 
     name: str
     is_micro_ros: bool = True
@@ -71,7 +71,7 @@ WAYS = (Way("micro-ROS, best effort"), Way("micro-ROS, reliable", is_reliable=Tr
 
 @dataclass(frozen=True)
 class Order:
-    """What the process of the boards does. `rate_hz`: 0 is as fast as possible."""
+    """Work of the process of the boards. `rate_hz`: 0 is as fast as possible."""
 
     host: str
     port: int
