@@ -1,4 +1,4 @@
-"""REST names the protocol of a micro-ROS board, and findings by rules of its own."""
+"""Views of a micro-ROS board: its protocol, and findings by rules of its own."""
 
 from tests.integration.test_micro_ros import CONFIG, address_of, robot_of
 from tests.support.daemon import Daemon, daemon

@@ -15,7 +15,6 @@ STANDARD_BAUDS = (9600, 19200, 38400, 57600, 74880, 115200, 230400, 250000, 4608
 BOOT_BAUD = 74880  # rate of an ESP8266's boot loader, independent of the firmware; otherwise unused
 MIN_SAMPLE_BYTES = 64  # with fewer bytes the guesses were hardly better than chance
 MIN_PAIRS = 4  # different ones: a line that is stuck has one or two
-KNOWN_SHARE = 0.8  # of a device that sends one frame again and again: 353 of 371 named rates were right
 MIN_MARGIN = 0.3  # nats per byte between the best rate and the next: at 0.1 one named rate in ten was wrong
 BRIDGE_BAUD = 115200  # assumed rate of a reader behind a network, which is unknown here: most sketches use it
 _CLOCK_ERRORS = (0.985, 1.0, 1.015)  # errors of RC oscillators and integer dividers
@@ -23,8 +22,6 @@ _GAPS_BITS = (0.0, 0.5, 1.3, 3.0)  # back to back, and with the pauses of a busy
 _SMOOTHING = 0.02
 _PAIRS = 1 << 16
 
-# A micro-ROS board that finds no host sends the same frame again and again, also to a port that expects rosserial.
-MICRO_ROS_PINGS = bytes.fromhex("7e01001000 80000000 02010800 000afffd02000000 cf12") * 8
 _BOOT_TEXT = (
     b"\r\n ets Jan  8 2013,rst cause:2, boot mode:(3,6)\r\n\r\n"
     b"load 0x4010f000, len 3424, room 16 \r\ntail 0\r\nchksum 0x2e\r\n"
@@ -58,26 +55,14 @@ def guess_speed(sample: bytes, baud: int | None, usual: bytes) -> LineSpeed | No
     """
     if len(sample) < MIN_SAMPLE_BYTES or len(_pairs(sample)) < MIN_PAIRS:
         return None
-    return _guess(sample, baud, usual) or _guess(sample, baud, MICRO_ROS_PINGS, is_constant=True)
-
-
-def _guess(sample: bytes, baud: int | None, usual: bytes, *, is_constant: bool = False) -> LineSpeed | None:
-    """Guess the baud rate of a device that sends what is usual. `is_constant`: nothing else."""
     reader_baud = BRIDGE_BAUD if baud is None else baud
     models = {other: _model(usual, other, reader_baud / other) for other in STANDARD_BAUDS}
     best, margin = _most_likely(sample, models)
-    if margin < MIN_MARGIN or best == reader_baud or (is_constant and not _is_of(sample, models[best])):
+    if margin < MIN_MARGIN or best == reader_baud:
         return None
     if best > reader_baud:
         return LineSpeed(0, baud)
     return LineSpeed(best, baud)
-
-
-def _is_of(sample: bytes, model: "_Model") -> bool:
-    """Whether a sample has hardly anything that the model does not have."""
-    found = _pairs(sample)
-    known = sum(count for pair, count in found.items() if pair in model[0])
-    return known >= KNOWN_SHARE * found.total()
 
 
 _Model = tuple[Counter[bytes], int]

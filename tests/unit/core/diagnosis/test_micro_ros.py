@@ -14,15 +14,15 @@ from hostlink.core.diagnosis.rules import diagnose
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.cdr import cdr_of
 from hostlink.core.protocol.events import MessageReceived
-from hostlink.core.protocol.line_speed import MICRO_ROS_PINGS
 from hostlink.core.protocol.resampling import resample
 from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.core.protocol.session import DeviceProtocol
+from hostlink.core.protocol.xrce.findings import PINGS
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP
-from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import XrceSession
 from hostlink.errors import HostlinkError
 from tests.support.xrce_board import (
+    DELETE,
     GET_INFO,
     PARTICIPANT,
     PUBLISHER,
@@ -237,7 +237,7 @@ def test_faster_board_is_not_given_a_wrong_rate(sent: int, read: int) -> None:
 
 
 def test_ping_is_the_frame_that_the_guess_at_a_rate_knows() -> None:
-    assert Serial().encode(PING) * 8 == MICRO_ROS_PINGS
+    assert Serial().encode(PING) * 8 == PINGS
 
 
 def test_text_boot_message_and_noise_on_the_line_are_named() -> None:
@@ -371,7 +371,7 @@ def restarting(*, says_goodbye: bool, key_changes: bool) -> Watched:
             while client.now_s < until_s:
                 yield from client.listen(0.5)
             if says_goodbye:
-                yield from client.delete(0xFFFE)
+                client.send(0, 0, sub(DELETE, client.request().to_bytes(2) + b"\xff\xfe"))
             if key_changes:
                 client.key = (int.from_bytes(client.key) + 1).to_bytes(4)
 
@@ -391,8 +391,7 @@ def test_objects_that_are_created_again_every_few_seconds_are_found(*, says_good
 def test_board_without_code_to_reconnect_is_found_after_a_restart_of_the_host() -> None:
     before = Watched((board := stock(restarts=False)).run(), board.client)
     before.world.run(3.0)
-    state = read_state(before.world.session.state().to_json())
-    session = MICRO_ROS_UDP.resumed(CATALOG, state)
+    session = MICRO_ROS_UDP.resumed(CATALOG, before.world.session.memory())
     after = Watched(iter_of(before), before.world.client, session=session)
     assert after.found(20.0) == {}
     assert after.found(45.0).keys() == {"no_reconnect"}

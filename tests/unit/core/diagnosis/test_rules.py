@@ -141,6 +141,7 @@ def test_sufficient_evidence_gives_the_finding(code: str, evidence: Evidence, de
         non_rosserial(b"x = 1\r\n" * 4),
         replace(non_rosserial(bytes(range(128, 256)) * 3), age_s=2.9),
         replace(non_rosserial(b"\x80\x90" * 40, frames=100, of=3000), negotiated_s=1.0),
+        replace(non_rosserial(b"\x80\x90" * 40), age_s=2.9, negotiated_s=1.0),
         replace(HEALTHY, recent=GOOD._replace(wrong_sizes=2, bad_checksums=2, unknown_ids=9)),
         replace(HEALTHY, negotiated_s=4.9, recent=GOOD._replace(unknown_ids=10)),
         replace(HEALTHY, earlier=lives(2)),
