@@ -1146,7 +1146,7 @@ def test_bytes_outside_messages_are_skipped_and_kept() -> None:
     serial.receive(b"boot text", now_s=0.0)
     assert (serial.counts.skipped_bytes, serial.foreign) == (9, b"boot text")
     assert serial.bad_checksums == 0
-    assert serial.rest_of_frame_bytes([b"x"]) == 0
+    assert serial.rest_of_frame_bytes([b"x"]) == 1
 
 
 def test_streams_above_the_bound_are_refused() -> None:
@@ -1200,7 +1200,7 @@ def test_capture_begins_with_messages_that_announce_the_endpoints() -> None:
         (negotiated,) = [each for each in replayed.tick(now_s=1.0) if isinstance(each, events.TopicsNegotiated)]
         assert set(negotiated.topics) == set(topics)
     gone = topics[0]._replace(id=endpoint_id(3, WRITER))
-    assert here.session.announcement([gone]) == b""
+    assert here.session.announcement([gone]) == here.session.announcement([])
     keyed = connected(Client(key=KEY, session=1))
     assert keyed.session.announcement(keyed.session.topics).startswith(b"\0\0\0\0" + KEY)
 
