@@ -1202,7 +1202,29 @@ def test_capture_begins_with_messages_that_announce_the_endpoints() -> None:
     gone = topics[0]._replace(id=endpoint_id(3, WRITER))
     assert here.session.announcement([gone]) == here.session.announcement([])
     keyed = connected(Client(key=KEY, session=1))
-    assert keyed.session.announcement(keyed.session.topics).startswith(b"\0\0\0\0" + KEY)
+    assert b"\0\0\0\0" + KEY in keyed.session.announcement(keyed.session.topics)
+
+
+def test_session_is_worth_remembering_when_a_board_has_created_something() -> None:
+    assert made().memory_version == 0
+    here = connected()
+    before = here.session.memory_version
+    assert before > 0
+    here.client.read_data(READER)  # once more
+    here.do(here.client.confirm(1.0))
+    assert here.session.memory_version > before
+
+
+def test_commands_of_an_endpoint_without_a_client_are_dropped() -> None:
+    here = connected()
+    here.session.drop_commands(here.session.topics[0]._replace(id=endpoint_id(3, WRITER)))
+    assert not here.session.outbox.has_waiting
+
+
+def test_bytes_of_a_serial_port_have_a_message_of_micro_ros_or_none() -> None:
+    ping = board.Serial().encode(b"\x80\0\0\0\2\1\x08\0\0\x0a\xff\xfd\2\0\0\0")
+    assert MICRO_ROS_SERIAL.is_in(b"text" + ping)
+    assert not MICRO_ROS_SERIAL.is_in(b"text" + ping[:-1])
 
 
 def test_ids_of_endpoints_tell_client_and_object() -> None:
