@@ -93,12 +93,17 @@ def stock(*, key: bytes = b"\1\2\3\4", **how: bool | float) -> board.Stock:
 
 @contextlib.asynccontextmanager
 async def udp_board(
-    address: tuple[str, int], program: board.Stock | None = None, *, loss: float = 0.0, local_port: int = 0
+    address: tuple[str, int],
+    program: board.Stock | None = None,
+    *,
+    loss: float = 0.0,
+    local: str = "127.0.0.1",
+    local_port: int = 0,
 ) -> AsyncIterator[Device]:
     """A board with a socket of its own."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
         connection.setblocking(False)
-        connection.bind(("127.0.0.1", local_port))
+        connection.bind((local, local_port))
         connection.connect(address)
 
         def send(data: bytes) -> None:

@@ -7,7 +7,7 @@ import os
 import random
 import signal
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
 import aiohttp
 import pytest
@@ -16,9 +16,10 @@ from tests.support import xrce_board as board
 from tests.support.background import meanwhile
 from tests.support.killing import guarded_by, guardians_of
 from tests.support.process import Process, serve
+from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect, expect_never
-from tests.support.xrce_device import Device, stock, udp_board
+from tests.support.xrce_device import Device, serial_board, stock, udp_board
 
 pytestmark = pytest.mark.quiet
 KILLS = 4
@@ -40,15 +41,37 @@ async def driving(*boards: board.Stock, loss: float = 0.0) -> AsyncIterator[tupl
             )
             for number, each in enumerate(boards)
         ]
-        await daemon.logged("robot.appeared", len(boards))
-        names = [str(line["robot"]) for line in daemon.lines("robot.appeared")]
-        assert len(set(names)) == len(boards), names
-        client = await stack.enter_async_context(aiohttp.ClientSession())
-        socket = await stack.enter_async_context(client.ws_connect(daemon.url))
-        async with meanwhile(_command(socket, names)):
-            await expect(lambda: all(is_moving(each) for each in devices))
-            await expect(lambda: guarded_by(guardians_of(daemon)[0]) == len(boards))
+        async with moving(daemon, devices):
             yield daemon, devices
+
+
+@contextlib.asynccontextmanager
+async def moving(daemon: Process, devices: list[Device]) -> AsyncIterator[None]:
+    """The boards move when the block begins, and the guardian has their connections."""
+    await daemon.logged("robot.appeared", len(devices))
+    names = [str(line["robot"]) for line in daemon.lines("robot.appeared")]
+    assert len(set(names)) == len(devices), names
+    async with (
+        aiohttp.ClientSession() as client,
+        client.ws_connect(daemon.url) as socket,
+        meanwhile(_command(socket, names)),
+    ):
+        await expect(lambda: all(is_moving(each) for each in devices))
+        await expect(lambda: guarded_by(guardians_of(daemon)[0]) == len(devices))
+        yield
+
+
+@contextlib.asynccontextmanager
+async def driving_on_wire() -> AsyncIterator[tuple[Process, list[Device]]]:
+    """A board on a pseudo-terminal that moves when the block begins."""
+    with pty_pair() as (descriptor, path):
+        os.set_blocking(descriptor, False)
+        async with (
+            serve("--serial", f"{path}@921600") as daemon,
+            serial_board(descriptor, stock(keeps=4)) as device,
+            moving(daemon, [device]),
+        ):
+            yield daemon, [device]
 
 
 async def _command(socket: aiohttp.ClientWebSocketResponse, names: list[str]) -> None:
@@ -73,9 +96,20 @@ def stood_after_s(device: Device, since_s: float) -> float:
 
 async def test_boards_of_a_killed_daemon_take_a_zero_while_they_publish() -> None:
     """The boards and their keys are equal: they are two robots at two addresses."""
+    await check_kills(lambda: driving(stock(keeps=4), stock(keeps=4)))
+
+
+async def test_board_on_a_serial_port_of_a_killed_daemon_takes_a_zero_while_it_publishes() -> None:
+    await check_kills(driving_on_wire)
+
+
+async def check_kills(
+    drive: Callable[[], contextlib.AbstractAsyncContextManager[tuple[Process, list[Device]]]],
+) -> None:
+    """Kill daemons at drawn times. Check when the boards take a zero, and that they stand afterwards."""
     dice, taken_s = random.Random(1), []
     for _ in range(KILLS):
-        async with driving(stock(keeps=4), stock(keeps=4)) as (daemon, devices):
+        async with drive() as (daemon, devices):
             await asyncio.sleep(dice.uniform(0.0, 0.1))
             began_s, watch = time.monotonic(), Stopwatch(*guardians_of(daemon))
             async with meanwhile(watch.sampling()):
