@@ -173,6 +173,14 @@ class DeviceSession(ABC):
         """Return what `DeviceProtocol.resumed` needs to go on later, for a device that announces itself only once."""
         return ""
 
+    @property
+    def kept_bytes(self) -> int:
+        """Bytes from the device that are kept because more must follow, and that it made the host remember."""
+        return 0
+
+    def drop_unfinished(self) -> None:  # noqa: B027 - for protocols that keep some
+        """Forget messages that are not whole."""
+
     def probe(self) -> None:  # noqa: B027 - for protocols that can ask
         """Ask something that a working device answers (TopicsAnswered), at most once a second.
 
