@@ -4,9 +4,10 @@ import pytest
 
 from hostlink.core.guardian.frames import stop_sequence
 from hostlink.core.messages.catalog import Catalog
-from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, encode
+from hostlink.core.protocol.rosserial.frame import encode
 from tests.firmware.due import Retry, node
 from tests.support.original_device import OriginalDevice
+from tests.support.rosserial_stop import rosserial_stop
 
 BUFFER_BYTES = 512
 LIMIT_S = 0.2
@@ -23,7 +24,7 @@ def test_the_firmware_stands_in_time(frame: bytes, policy: Retry) -> None:
         with node(policy) as device:
             device.feed(VELOCITY + frame[:cut])
             device.spin(1.0)
-            heard, waiting = device.received(), stop_sequence(ZEROS, BUFFER_BYTES, STOP_REQUEST)
+            heard, waiting = device.received(), stop_sequence(rosserial_stop(ZEROS, BUFFER_BYTES))
             for turn in range(round(LIMIT_S / TURN_S)):
                 while waiting and waiting[0][0] <= turn * TURN_S:
                     device.feed(waiting.pop(0)[1])
@@ -43,7 +44,7 @@ def test_the_original_library_stands_in_time() -> None:
         device.subscribe("/long", twist.name, twist.md5, lambda _: None)  # 1 of 256 passes by chance
         device.from_host.send(VELOCITY + LONG[:cut], 1.0)
         device.spin(1.0)
-        waiting = stop_sequence(ZEROS, BUFFER_BYTES, STOP_REQUEST)
+        waiting = stop_sequence(rosserial_stop(ZEROS, BUFFER_BYTES))
         for turn in range(round(LIMIT_S / TURN_S)):
             while waiting and waiting[0][0] <= turn * TURN_S:
                 device.from_host.send(waiting.pop(0)[1], 1.0 + turn * TURN_S)

@@ -28,10 +28,10 @@ from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from tests.support import entry_points
 from tests.support.command_boards import BOARDS
 from tests.support.entry_points import EntryPoint
-from tests.support.fake_device import robot_topics, topic
+from tests.support.fake_device import topic
 from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.participants import ROBOT, Scene, play
-from tests.support.scripted_device import ScriptedDevice
+from tests.support.scripted_board import DEVICES
 from tests.support.virtual_loop import VirtualLoop
 
 HOSTLINK = Path(__file__).parent.parent.parent / "hostlink"
@@ -99,8 +99,8 @@ class Robot:
         assert self.speed_m_s > 0.0
 
     async def connect_again(self) -> None:
-        self.made.robot = ScriptedDevice(self.made.hub, robot_topics(ROBOT), address="10.0.0.1")
-        await asyncio.sleep(0.1)
+        self.made.connect()
+        await self.made.robot.is_announced()
 
 
 Row = Callable[[EntryPoint, Robot], Awaitable[None]]
@@ -619,10 +619,11 @@ def test_rows_that_an_entry_point_cannot_express_exist() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("protocol", DEVICES)
 @pytest.mark.parametrize(
     ("entry_point", "row"), [(entry_point, row) for entry_point in ENTRY_POINTS for row in rows_of(entry_point)]
 )
-def test_row_holds_for_entry_point(entry_point: type[EntryPoint], row: str) -> None:
+def test_row_holds_for_entry_point(entry_point: type[EntryPoint], row: str, protocol: str) -> None:
     async def test(made: Scene) -> None:
         way = entry_point(made)
         robot = Robot(made, way)
@@ -633,7 +634,7 @@ def test_row_holds_for_entry_point(entry_point: type[EntryPoint], row: str) -> N
         finally:
             await way.end()
 
-    play(test)
+    play(test, make_device=DEVICES[protocol])
 
 
 #: What every board hears of every entry point, whatever its type of command.
@@ -650,8 +651,11 @@ PAIRS = [(name, each) for name in BOARDS for each in COMPLETE] + [
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("protocol", DEVICES)
 @pytest.mark.parametrize(("name", "entry_point"), PAIRS)
-def test_board_of_each_command_type_obeys_the_admission(name: str, entry_point: type[EntryPoint]) -> None:
+def test_board_of_each_command_type_obeys_the_admission(
+    name: str, entry_point: type[EntryPoint], protocol: str
+) -> None:
     """Lease, limit, stop, lock, reboot of the board and end of the source, by what the board received.
 
     `RosbridgeRaw` publishes a Twist on the device's own topic; `Play` and `Demo` end with their first refusal.
@@ -709,7 +713,8 @@ def test_board_of_each_command_type_obeys_the_admission(name: str, entry_point: 
         await again()
         await moves("armed by a zero again")
         await made.robot.aclose()
-        made.robot = ScriptedDevice(made.hub, board.infos, address="10.0.0.1")
+        made.connect()
+        await made.robot.is_announced()
         await rests("rebooted")
         await again()
         await moves("armed after the reboot")
@@ -720,7 +725,7 @@ def test_board_of_each_command_type_obeys_the_admission(name: str, entry_point: 
         assert made.hub.robots.find_here(ROBOT) is found
 
     config = Config() if board.config is None else Config(robots={ROBOT: board.config})
-    play(test, config, board.infos)
+    play(test, config, board.infos, DEVICES[protocol])
 
 
 @pytest.mark.parametrize("name", BOARDS)
@@ -737,7 +742,7 @@ def test_guardian_has_frames_that_stop_each_command_type(name: str) -> None:
         for number, frame in enumerate(frames):
             assert isinstance(frame, Frame)
             assert board.is_at_rest(number, frame.payload)
-        assert device.link.last_frame == b"".join(zeros)  # the daemon's own last words are the same
+        assert device.link.last_frames == (b"".join(zeros),)  # the daemon's own last words are the same
         made.hub.join("driver").drive(made.robot(ROBOT), PlanarVelocity(0.2))
         await asyncio.sleep(0.1)
         assert made.guard.driven == {device.link.number}

@@ -25,12 +25,13 @@ from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, encode
 from tests.support.killing import guarded_by
 from tests.support.process import is_running
 from tests.support.pty_pair import pty_pair
+from tests.support.rosserial_stop import rosserial_stop
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = encode(100, bytes(48))
 OTHER = encode(107, bytes(92))
-SEQUENCE = b"".join(part for _, part in stop_sequence((ZERO,), 0, STOP_REQUEST))
+SEQUENCE = b"".join(part for _, part in stop_sequence(rosserial_stop((ZERO,))))
 ROBOTS = 200
 MORE_KIB = 2048  # than the interpreter takes by itself, which differs from version to version
 SIGNALS = signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}
@@ -84,7 +85,7 @@ def pid(ours: Guardian) -> int:
 
 def watch(ours: Guardian, peers: list[Peer]) -> None:
     for number, peer in enumerate(peers):
-        ours.watch(number, lambda peer=peer: peer.ours.fileno(), zeros=(ZERO,), end=STOP_REQUEST, claim_bytes=0)
+        ours.watch(number, lambda peer=peer: peer.ours.fileno(), rosserial_stop((ZERO,)))
 
 
 def descriptors(number: int) -> list[str]:
@@ -125,7 +126,7 @@ async def test_a_daemon_that_is_gone_leaves_zeros_then_id_11_then_the_end() -> N
 async def test_every_velocity_topic_of_a_device_is_stopped() -> None:
     with connections(1) as (peer,):
         async with guardian() as ours:
-            ours.watch(1, peer.ours.fileno, zeros=(ZERO, OTHER), end=STOP_REQUEST, claim_bytes=0)
+            ours.watch(1, peer.ours.fileno, rosserial_stop((ZERO, OTHER)))
             await expect(lambda: guarded(ours) == 1)
             ours.abandon()
         assert peer.read_all()[0] == 3 * (ZERO + b"\0" + OTHER) + STOP_REQUEST
@@ -135,7 +136,7 @@ async def test_a_serial_port_gets_the_same_and_is_free_afterwards() -> None:
     with pty_pair() as (device, path):
         port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         async with guardian() as ours:
-            ours.watch(1, lambda: port, zeros=(ZERO,), end=STOP_REQUEST, claim_bytes=0)
+            ours.watch(1, lambda: port, rosserial_stop((ZERO,)))
             await expect(lambda: guarded(ours) == 1)  # the start of an interpreter is not measured
             lasted = Stopwatch()
             ours.abandon()
@@ -170,7 +171,7 @@ async def test_a_link_that_gets_another_velocity_topic_is_stopped_by_that_one() 
     with connections() as (peer,):
         async with guardian() as ours:
             watch(ours, [peer])
-            ours.watch(0, peer.ours.fileno, zeros=(OTHER,), end=STOP_REQUEST, claim_bytes=0)
+            ours.watch(0, peer.ours.fileno, rosserial_stop((OTHER,)))
             peer.ours.close()
             ours.abandon()
         assert peer.read_all()[0] == 3 * OTHER + STOP_REQUEST
@@ -207,7 +208,7 @@ async def test_device_that_keeps_sending_reads_all_before_its_connection_ends() 
         assert peer.read_all()[0] == SEQUENCE
 
 
-HANG = b"".join(part for _, part in stop_sequence((ZERO,), 0))
+HANG = b"".join(part for _, part in stop_sequence(rosserial_stop((ZERO,), end=b"")))
 
 
 def waiting_bytes(peer: Peer) -> bytes:
@@ -328,7 +329,7 @@ async def test_a_stopped_guardian_delays_no_link_and_no_goodbye() -> None:
             os.kill(number, signal.SIGSTOP)
             lasted = Stopwatch()
             for turn in range(5000):  # more than its queue takes
-                ours.watch(turn, peer.ours.fileno, zeros=(ZERO,), end=STOP_REQUEST, claim_bytes=0)
+                ours.watch(turn, peer.ours.fileno, rosserial_stop((ZERO,)))
                 ours.release(turn)
             assert lasted.seconds < 2.0
             ours.goodbye()
@@ -359,7 +360,7 @@ async def test_frames_that_do_not_fit_are_dropped_with_one_warning_and_the_other
         async with guardian() as ours:
             for _ in range(3):
                 zeros = [ZERO, bytes(MAX_FRAMES_BYTES), OTHER]
-                ours.watch(0, peer.ours.fileno, zeros=zeros, end=STOP_REQUEST, claim_bytes=0)
+                ours.watch(0, peer.ours.fileno, rosserial_stop(zeros))
             await expect(lambda: guarded(ours) == 1)
             peer.ours.close()
             ours.abandon()
@@ -372,7 +373,7 @@ async def test_the_longest_record_reaches_the_process_and_an_empty_end_is_not_wr
     zero = bytes(range(1, 256)) * 16
     with connections() as (peer,):
         async with guardian() as ours:
-            ours.watch(0, peer.ours.fileno, zeros=[zero], end=b"", claim_bytes=0)
+            ours.watch(0, peer.ours.fileno, rosserial_stop([zero], end=b""))
             await expect(lambda: guarded(ours) == 1)
             peer.ours.close()
             ours.abandon()
@@ -401,7 +402,7 @@ async def test_answers_that_the_daemon_did_not_read_do_not_hide_its_last_words(*
     with connections() as (peer,):
         channel, process = _spawn()
         with channel:
-            socket.send_fds(channel, [encode_record(WATCH, 1, (ZERO,), STOP_REQUEST)], [peer.ours.fileno()])
+            socket.send_fds(channel, [encode_record(WATCH, 1, rosserial_stop((ZERO,)))], [peer.ours.fileno()])
             channel.send(encode_record(PING))
             await expect(lambda: guarded_by(process.pid) == 1)
             await expect(lambda: select.select([channel], [], [], 0)[0])  # the answer waits
@@ -434,7 +435,7 @@ async def test_guardian_has_only_its_own_descriptors_and_little_memory() -> None
         with connections(ROBOTS) as peers:  # more memory for more robots, and for longer frames, would be too much
             for number, peer in enumerate(peers):
                 zeros = [encode(100 + number + each, bytes(92)) for each in range(4)]  # of four TwistStamped
-                ours.watch(number, peer.ours.fileno, zeros=zeros, end=STOP_REQUEST, claim_bytes=65543)
+                ours.watch(number, peer.ours.fileno, rosserial_stop(zeros, 65543))
             await expect(lambda: guarded(ours) == ROBOTS)
             with_robots = memory_kib(pid(ours))
         most_kib = interpreter_kib() + MORE_KIB
@@ -467,5 +468,6 @@ def test_guardian_program_imports_the_standard_library_alone() -> None:
         "hostlink.core.guardian",
         "hostlink.core.runtime",
         "hostlink.core.runtime.remains",
+        "hostlink.core.runtime.stop_frames",
         *(f"hostlink.core.guardian.{part}" for part in ("process", "connection", "frames", "records")),
     }

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.core.guardian.frames import LEAD, stop_sequence
-from hostlink.core.protocol.rosserial.frame import STOP_REQUEST, SYNC, encode
+from hostlink.core.guardian.frames import stop_sequence
+from hostlink.core.protocol.rosserial.frame import LEAD, SYNC, encode
 from tests.support.ros_lib_reader import RosLibReader
+from tests.support.rosserial_stop import rosserial_stop
 
 LIMIT_S = 0.2
 BUFFER_BYTES = 512
@@ -18,7 +19,7 @@ LENGTH_BYTES = 5  # sync, length and its checksum
 VELOCITY = encode(100, bytes(range(1, 49)))
 LONG = encode(101, bytes(value % 251 for value in range(BUFFER_BYTES - 8)))
 ZERO = encode(100, bytes(48))
-SEQUENCE = stop_sequence((ZERO,), BUFFER_BYTES, STOP_REQUEST)
+SEQUENCE = stop_sequence(rosserial_stop((ZERO,), BUFFER_BYTES))
 
 
 class Device:
@@ -108,7 +109,7 @@ def obeyed(cut: bytes, zeros: dict[int, bytes], claim_bytes: int) -> list[int]:
 
 
 def first_zeros(zeros: dict[int, bytes], claim_bytes: int) -> bytes:
-    return stop_sequence(tuple(itertools.starmap(encode, zeros.items())), claim_bytes)[0][1]
+    return stop_sequence(rosserial_stop(itertools.starmap(encode, zeros.items()), claim_bytes))[0][1]
 
 
 @pytest.mark.parametrize("topic_ids", [(100,), (255,), (256,), (511,), (100, 107), (255, 511, 256), range(100, 116)])
@@ -174,7 +175,7 @@ def test_any_zeros_stop_a_device_that_gives_up_a_cut_frame(
     whole = encode(99, data.draw(st.binary(min_size=payload_bytes, max_size=payload_bytes)))
     cut = data.draw(st.integers(1, len(whole) - 1))
     zeros = tuple(itertools.starmap(encode, stops.items()))
-    waiting = deque([(-0.001, whole[:cut]), *stop_sequence(zeros, len(whole) if is_claimed else 0, STOP_REQUEST)])
+    waiting = deque([(-0.001, whole[:cut]), *stop_sequence(rosserial_stop(zeros, len(whole) if is_claimed else 0))])
     found: dict[int, bytes] = {}
     reader = RosLibReader(found.__setitem__)
     for turn in range(round(LIMIT_S / turn_s)):
@@ -193,7 +194,7 @@ def test_zeros_of_four_wheels_are_obeyed_in_time_over_a_38400_baud_line(*, gives
         free_at_s, zeroed = 0.0, dict[int, bytes]()
         reader = RosLibReader(zeroed.__setitem__, gives_up=gives_up)
         reader.turn(LONG[:cut], 0.0)
-        for due_s, part in stop_sequence(zeros, BUFFER_BYTES):
+        for due_s, part in stop_sequence(rosserial_stop(zeros, BUFFER_BYTES, b"")):
             for value in part:
                 free_at_s = max(free_at_s, due_s) + 1 / 3840
                 if free_at_s <= LIMIT_S:
@@ -203,5 +204,5 @@ def test_zeros_of_four_wheels_are_obeyed_in_time_over_a_38400_baud_line(*, gives
 
 def test_zeros_without_repetition_are_lost_in_a_long_claim() -> None:
     device = Device(gives_up=False)
-    device.run([(-0.001, VELOCITY + LONG[:10]), *stop_sequence((ZERO,), 0, STOP_REQUEST)], first_s=0.0, turn_s=0.001)
+    device.run([(-0.001, VELOCITY + LONG[:10]), *stop_sequence(rosserial_stop((ZERO,)))], first_s=0.0, turn_s=0.001)
     assert device.zero_at_s() == math.inf

@@ -15,6 +15,7 @@ from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.protocol.endpoint import DeviceEndpoint
 from hostlink.core.protocol.rosserial.frame import encode
+from hostlink.core.runtime.stop_frames import StopFrames
 from tests.support.background import cancelling
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
@@ -39,16 +40,8 @@ class RecordingGuard:
     driven: set[int] = field(default_factory=set)
     beats: int = 0
 
-    def watch(
-        self,
-        number: int,
-        connection: Callable[[], int | None],
-        *,
-        zeros: Sequence[bytes],
-        end: bytes,
-        claim_bytes: int,
-    ) -> None:
-        self.watched[number], self.ends[number] = (list(zeros), claim_bytes), end
+    def watch(self, number: int, connection: Callable[[], int | None], stop: StopFrames) -> None:
+        self.watched[number], self.ends[number] = (list(stop.zeros), stop.claim_bytes), stop.end
         self.connections[number] = connection
 
     def beat(self, driven: set[int]) -> None:

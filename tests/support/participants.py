@@ -382,13 +382,20 @@ class Scene:
     and itself must be there at the end.
     """
 
-    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup, infos: Sequence[DeviceEndpoint] = ()) -> None:
-        self.hub, self.tasks = hub, tasks
+    def __init__(
+        self,
+        hub: Hub,
+        tasks: asyncio.TaskGroup,
+        infos: Sequence[DeviceEndpoint] = (),
+        make_device: Callable[..., ScriptedDevice] = ScriptedDevice,
+    ) -> None:
+        """`make_device` makes the robot's device."""
+        self.hub, self.tasks, self._make_device = hub, tasks, make_device
         self.infos = list(infos) or robot_topics(ROBOT)  # of the robot
         self.neighbour_heard: list[bytes] = []
 
     async def begin(self) -> None:
-        self.robot = ScriptedDevice(self.hub, self.infos, address="10.0.0.1")
+        self.connect()
         self.other = ScriptedDevice(self.hub, robot_topics(NEIGHBOUR), address="10.0.0.2")
         await asyncio.sleep(0.5)
         self.neighbour = self.hub.join("neighbour")
@@ -400,6 +407,10 @@ class Scene:
         self.neighbour.provide("/neighbour", "std_srvs/Trigger", answer)
         self.neighbour.advertise(TEXT, TEXT_TYPE)
         await self.neighbour_works()
+
+    def connect(self) -> None:
+        """Connect the robot's device, for the first time or again."""
+        self.robot = self._make_device(self.hub, self.infos, address="10.0.0.1")
 
     async def neighbour_works(self) -> None:
         """Check that the neighbour is driven, heard and answered, and that no link has ended."""
@@ -436,21 +447,28 @@ class Scene:
 
 
 @contextlib.asynccontextmanager
-async def scene(config: Config | None = None, infos: Sequence[DeviceEndpoint] = ()) -> AsyncIterator[Scene]:
+async def scene(
+    config: Config | None = None,
+    infos: Sequence[DeviceEndpoint] = (),
+    make_device: Callable[..., ScriptedDevice] = ScriptedDevice,
+) -> AsyncIterator[Scene]:
     with capture_logs():
         hub = Hub(Config() if config is None else config, CATALOG)
         async with running(hub) as tasks:
-            made = Scene(hub, tasks, infos)
+            made = Scene(hub, tasks, infos, make_device)
             await made.begin()
             yield made
             await made.neighbour_works()
 
 
 def play(
-    test: Callable[[Scene], Awaitable[None]], config: Config | None = None, infos: Sequence[DeviceEndpoint] = ()
+    test: Callable[[Scene], Awaitable[None]],
+    config: Config | None = None,
+    infos: Sequence[DeviceEndpoint] = (),
+    make_device: Callable[..., ScriptedDevice] = ScriptedDevice,
 ) -> None:
     async def run() -> None:
-        async with scene(config, infos) as made:
+        async with scene(config, infos, make_device) as made:
             await test(made)
 
     run_virtual(run())

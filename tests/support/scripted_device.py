@@ -13,6 +13,8 @@ from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.core.protocol.rosserial.stream import FrameStream
 from tests.support.memory_transport import memory_pair
 
+ANNOUNCED_S = 0.1
+
 
 class ScriptedDevice:
     """One connection to a hub that runs, in the loop that runs it."""
@@ -47,6 +49,10 @@ class ScriptedDevice:
             await self.send(info.kind, encode_topic_info(info))
         if self.infos:
             await self.send(Id.TIME, bytes(8))
+
+    async def is_announced(self) -> None:
+        """Wait until the host has identified it after a connection."""
+        await asyncio.sleep(ANNOUNCED_S)
 
     async def aclose(self) -> None:
         """Close the connection."""

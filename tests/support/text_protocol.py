@@ -148,8 +148,8 @@ class TextSession(DeviceSession):
             self.outbox.put_urgent(endpoint.id, _line(payload), is_kept=is_kept)
         return self.has(endpoint)
 
-    def zero_frame(self, endpoint: DeviceEndpoint, payload: bytes) -> bytes:  # noqa: ARG002 - there is one
-        return b"\n" + _line(payload)  # a line may have been sent in part
+    def zero_frames(self, endpoint: DeviceEndpoint, payload: bytes) -> tuple[bytes, ...]:  # noqa: ARG002 - there is one
+        return (b"\n" + _line(payload),)  # a line may have been sent in part
 
 
 class TextProtocol(DeviceProtocol):

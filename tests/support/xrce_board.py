@@ -408,8 +408,17 @@ class Stock:
     is_running: bool = False
     failed_at: str = ""
     taken: list[tuple[float, float]] = field(default_factory=list)  # time, and linear velocity
+    keeps: int = 0  # messages that wait for the next turn of its loop, the newest dropped; 0: each is taken at once
+    kept: deque[tuple[int, bytes]] = field(default_factory=deque)
 
     ODOMETRY, IMU, COMMAND = object_id(0, WRITER), object_id(1, WRITER), object_id(0, READER)
+
+    def keep(self, object_: int, payload: bytes) -> None:
+        """Keep a message as the middleware does: a program that blocks in a publish takes none."""
+        if not self.keeps:
+            self.take(object_, payload)
+        elif self.is_running and len(self.kept) < self.keeps:  # before, it has no reader
+            self.kept.append((object_, payload))
 
     def take(self, object_: int, payload: bytes) -> None:
         if object_ == self.COMMAND:
@@ -442,7 +451,7 @@ class Stock:
 
     def run(self) -> Program:
         """The program from its start. With code to reconnect it begins again after each failure, with another key."""
-        self.client.on_data = self.take
+        self.client.on_data = self.keep
         while True:
             yield from self.once()
             self.is_running = False
@@ -482,6 +491,8 @@ class Stock:
                     else:
                         client.publish_best_effort(writer, payload)
             yield from client.listen(0.0)  # spin: one message a turn
+            if self.kept:
+                self.take(*self.kept.popleft())
             yield from self.pause(max(self.turn_s, 0.001))
 
     def pause(self, seconds: float) -> Program:

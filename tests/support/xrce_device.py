@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import os
 import socket
-import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from random import Random
@@ -14,6 +13,7 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.cdr import cdr_of
 from hostlink.core.messages.message_type import MessageType
 from hostlink.core.runtime.cancellation import meanwhile
+from hostlink.core.runtime.loop_time import loop_time_s
 from tests.support import xrce_board as board
 from tests.support.waiting import expect
 
@@ -26,10 +26,10 @@ def cdr(type_name: str, values: dict[str, Any]) -> bytes:
 
 
 class Device:
-    """A program of a board that runs in real time, until its connection is closed."""
+    """A program of a board that runs in the time of the event loop, until its connection is closed."""
 
     def __init__(
-        self, program: board.Stock, send: Callable[[bytes], None], codec: board.Datagrams, *, loss: float = 0.0
+        self, program: Any, send: Callable[[bytes], None], codec: board.Datagrams, *, loss: float = 0.0
     ) -> None:
         """`loss`: share of the messages that are lost, each way."""
         self.stock, self.client = program, program.client
@@ -42,12 +42,17 @@ class Device:
         self._inbox.extend(each for each in self._codec.decode(data) if self._random.random() >= self._loss)
         self._came.set()
 
+    def wake(self) -> None:
+        """Let the program continue as after a message, with an empty one."""
+        self._inbox.append(b"")
+        self._came.set()
+
     async def run(self) -> None:
         """Run the program to its end, then do nothing."""
         program, message = self.stock.run(), None
         with contextlib.suppress(StopIteration):
             while True:
-                self.client.now_s = time.monotonic()
+                self.client.now_s = loop_time_s()
                 until_s = next(program) if message is None else program.send(message)
                 message = None
                 for each in self.client.sent:
@@ -60,11 +65,11 @@ class Device:
     async def _wait(self, until_s: float) -> bytes | None:
         """Wait until that time, or until a message arrives that the program reads. Return the message."""
         if until_s < 0:
-            await asyncio.sleep(-until_s - time.monotonic())
+            await asyncio.sleep(-until_s - loop_time_s())
             return None
         while not self._inbox:
             self._came.clear()
-            left_s = until_s - time.monotonic()
+            left_s = until_s - loop_time_s()
             if left_s <= 0:
                 return None
             with contextlib.suppress(TimeoutError):
@@ -88,12 +93,17 @@ def stock(*, key: bytes = b"\1\2\3\4", **how: bool | float) -> board.Stock:
 
 @contextlib.asynccontextmanager
 async def udp_board(
-    address: tuple[str, int], program: board.Stock | None = None, *, loss: float = 0.0, local_port: int = 0
+    address: tuple[str, int],
+    program: board.Stock | None = None,
+    *,
+    loss: float = 0.0,
+    local: str = "127.0.0.1",
+    local_port: int = 0,
 ) -> AsyncIterator[Device]:
     """A board with a socket of its own."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
         connection.setblocking(False)
-        connection.bind(("127.0.0.1", local_port))
+        connection.bind((local, local_port))
         connection.connect(address)
 
         def send(data: bytes) -> None:

@@ -8,10 +8,15 @@ import sys
 import termios
 
 from hostlink.core.guardian.frames import UNLIMITED, StopWriter
+from hostlink.core.runtime.stop_frames import StopFrames
 
 STALE_BYTES = 128  # one turn of a robot's loop at 38400 baud: the most that the daemon's pacing leaves in a serial port
 READ_BYTES = 65536
 DATAGRAM_BYTES = 1024  # of one write over UDP: no network fragments it
+ANSWERING_S = 0.4  # a device is answered for so long: a zero and its answer may be lost
+PEEKED = 64  # datagrams of a device that are looked at in one turn
+_PEEK = _socket.MSG_PEEK | _socket.MSG_DONTWAIT
+_SO_PEEK_OFF = 42  # Linux: each look continues behind the one before
 _GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
@@ -22,22 +27,27 @@ class GuardedConnection:
 
     | call              | while the daemon        | writes                      | reads       | closes     |
     |-------------------|-------------------------|-----------------------------|-------------|------------|
-    | `hold`, repeated  | hangs, and may recover  | zeros                       | nothing     | never      |
+    | `hold`, repeated  | hangs, and may recover  | zeros                       | nothing (1) | never      |
     | `step`, repeated  | is gone                 | zeros, then the end         | everything  | at the end |
+
+    A device that waits until what it sends is acknowledged reads no zero before. While the daemon is gone, its
+    `Acknowledger` answers what is read, and the zeros follow each answer.
+
+    (1) Over UDP what such a device sends is looked at and answered, and stays for the daemon to read.
     """
 
-    def __init__(self, descriptor: int, zeros: tuple[bytes, ...], end: bytes, claim_bytes: int) -> None:
+    def __init__(self, descriptor: int, stop: StopFrames) -> None:
         self.descriptor = descriptor
         self.is_open = True
         self._is_serial = os.isatty(descriptor)
         self._is_udp = not self._is_serial and _is_udp(descriptor)
-        self._part_bytes = UNLIMITED
-        if self._is_udp:  # without a claim, the protocol keeps datagrams: each frame is one
-            self._part_bytes = DATAGRAM_BYTES if claim_bytes else 0
-        if self._is_udp and claim_bytes <= DATAGRAM_BYTES:
-            claim_bytes = 0  # such a frame was sent as one datagram, whole or not at all
-        self._zeros, self._claim_bytes = zeros, claim_bytes
-        self._writer = StopWriter(zeros, claim_bytes, end, part_bytes=self._part_bytes)
+        self._part_bytes = DATAGRAM_BYTES if self._is_udp else UNLIMITED
+        if self._is_udp and stop.claim_bytes <= DATAGRAM_BYTES:
+            stop.claim_bytes = 0  # such a frame was sent as one datagram, whole or not at all
+        self._stop = stop
+        self._acknowledgers = _AcknowledgerSource(stop.acknowledger)
+        self._acknowledger: _Acknowledger | None = None  # a new one each time: it knows numbers of that time
+        self._writer = StopWriter(stop, part_bytes=self._part_bytes)
         self._holding = self._writer  # used by `hold`
         self._is_readable = True  # until the end of the stream was read
         self._is_begun = self._is_finished = False
@@ -53,7 +63,8 @@ class GuardedConnection:
 
     def begin_hold(self) -> None:
         """Start the zeros for a daemon that hangs."""
-        self._holding = StopWriter(self._zeros, self._claim_bytes, part_bytes=self._part_bytes)
+        self._holding = StopWriter(self._stop, has_end=False, part_bytes=self._part_bytes)
+        self._acknowledger = self._acknowledgers.make() if self._is_udp and _peeks(self.descriptor) else None
 
     def hold(self, now_s: float) -> float | None:
         """Write the zeros that are due `now_s` after `begin_hold`, as far as there is room. Return when to call again.
@@ -62,9 +73,24 @@ class GuardedConnection:
         """
         try:
             self._write(self._holding, now_s)
+            if self._acknowledger is not None:
+                self._look(self._acknowledger)
+                self._write(self._holding, now_s)
         except OSError:
             return None
-        return now_s if self._holding.has_waiting else self._holding.next_s()
+        is_polled = self._holding.has_waiting or self._acknowledger is not None
+        return now_s if is_polled else self._holding.next_s()
+
+    def _look(self, acknowledger: "_Acknowledger") -> None:
+        """Answer the datagrams that wait for the daemon, and leave them there."""
+        connection, answers = _socket.socket(fileno=self.descriptor), list[bytes]()
+        try:
+            for _ in range(PEEKED):
+                answers += acknowledger.receive(connection.recv(READ_BYTES, _PEEK))
+        except OSError:
+            pass  # no more wait, or an error of an earlier datagram
+        connection.detach()
+        self._holding.answer(answers)
 
     def events(self, now_s: float) -> int:
         """Events for which poll() should wait."""
@@ -76,7 +102,7 @@ class GuardedConnection:
         return self._writer.next_s()
 
     def step(self, events: int, now_s: float) -> None:
-        """Write what is due and discard received bytes. An error closes only this connection."""
+        """Write what is due, read received bytes and answer them. An error closes only this connection."""
         try:
             if not self._is_begun:
                 self._begin()
@@ -85,8 +111,9 @@ class GuardedConnection:
                 return
             self._write(self._writer, now_s)
             if events & (select.POLLIN | _GONE):
-                self._discard()
-            if self.is_open and self._writer.is_done():
+                self._read()
+                self._write(self._writer, now_s)
+            if self.is_open and self._writer.is_done() and (self._acknowledger is None or now_s >= ANSWERING_S):
                 self._finish()
         except (OSError, termios.error):  # termios.error is not an OSError
             self.close()
@@ -103,6 +130,7 @@ class GuardedConnection:
     def _begin(self) -> None:
         """Take over the connection, because the daemon is gone."""
         self._is_begun = True
+        self._acknowledger = self._acknowledgers.make()
         os.set_blocking(self.descriptor, False)
         if self._is_serial and self._unsent_bytes() > STALE_BYTES:  # old commands would take too long
             termios.tcflush(self.descriptor, termios.TCOFLUSH)
@@ -126,8 +154,8 @@ class GuardedConnection:
                 continue
         return len(datagram)
 
-    def _discard(self) -> None:
-        """Discard received bytes.
+    def _read(self) -> None:
+        """Read received bytes, and answer what the device waits for.
 
         A device may block while its bytes are not read, and closing a TCP connection with unread bytes resets it.
         """
@@ -137,6 +165,8 @@ class GuardedConnection:
             if self._is_udp or isinstance(error, BlockingIOError):
                 return  # an error may belong to an earlier datagram
             raise
+        if self._acknowledger is not None:
+            self._writer.answer(self._acknowledger.receive(received))
         self._is_readable = bool(received) or self._is_udp  # an empty datagram does not end it
         if self._is_serial and not self._is_readable:
             self.close()  # the serial device hung up
@@ -163,6 +193,47 @@ class GuardedConnection:
         except OSError:
             return 0
         return int.from_bytes(count, sys.byteorder)
+
+
+class _Acknowledger:
+    """Interface of the class `Acknowledger` of a protocol."""
+
+    def __init__(self, argument: str) -> None: ...
+
+    def receive(self, data: bytes) -> list[bytes]:
+        """Return the writes that answer these bytes."""
+        raise NotImplementedError
+
+
+class _AcknowledgerSource:
+    """Class of a module, with its argument. Only devices that need one cost the import."""
+
+    def __init__(self, place: str) -> None:
+        module, _, self._argument = place.partition(":")
+        self._class: type[_Acknowledger] | None = None
+        if not place:
+            return
+        try:
+            self._class = __import__(module, fromlist=["Acknowledger"]).Acknowledger
+            self.make()
+        except Exception:  # noqa: BLE001 - the files may have been replaced meanwhile; the zeros are written anyway
+            self._class = None
+
+    def make(self) -> _Acknowledger | None:
+        """Create an acknowledger; None if the device waits for nothing."""
+        return None if self._class is None else self._class(self._argument)
+
+
+def _peeks(descriptor: int) -> bool:
+    """Let the next looks at a socket begin with its first datagram. Return whether the system can."""
+    connection = _socket.socket(fileno=descriptor)
+    try:
+        connection.setsockopt(_socket.SOL_SOCKET, _SO_PEEK_OFF, 0)
+    except OSError:
+        return False
+    finally:
+        connection.detach()
+    return True
 
 
 def _is_udp(descriptor: int) -> bool:

@@ -10,7 +10,7 @@ import fcntl
 import resource
 import socket
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import structlog
@@ -18,6 +18,7 @@ import structlog
 from hostlink.core.guardian.records import ANSWER_BYTES, GOODBYE, PING, decode_answer, encode, encode_beat, fitting
 from hostlink.core.guardian.roster import GuardedLinks, Watched
 from hostlink.core.runtime.detached import start_python
+from hostlink.core.runtime.stop_frames import StopFrames
 
 log = structlog.get_logger()
 
@@ -94,24 +95,16 @@ class Guardian:
 
     # -- what the daemon reports --------------------------------------------------------------------------------------
 
-    def watch(
-        self,
-        number: int,
-        connection: Callable[[], int | None],
-        *,
-        zeros: Sequence[bytes],
-        end: bytes,
-        claim_bytes: int,
-    ) -> None:
+    def watch(self, number: int, connection: Callable[[], int | None], stop: StopFrames) -> None:
         """Guard a link with these frames. `connection` returns its descriptor while it is open."""
-        fitted, fitted_end = fitting(tuple(zeros), end)
-        if len(fitted) < len(zeros) or fitted_end != end:
+        fitted = fitting(stop)
+        if fitted != stop:
             if number not in self._cut:
-                log.warning("guardian.frames_dropped", link=number, guarded=len(fitted))
+                log.warning("guardian.frames_dropped", link=number, guarded=len(fitted.zeros))
             self._cut.add(number)
         else:
             self._cut.discard(number)
-        self._roster.watch(number, Watched(connection, fitted, fitted_end, claim_bytes))
+        self._roster.watch(number, Watched(connection, fitted))
         self._send_next()
 
     def release(self, number: int) -> None:

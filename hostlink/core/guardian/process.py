@@ -11,7 +11,7 @@ import sys
 import time
 
 from hostlink.core.guardian.connection import GuardedConnection
-from hostlink.core.guardian.frames import INTERVAL_S, ZEROS
+from hostlink.core.guardian.frames import ZEROS
 from hostlink.core.guardian.records import (
     BEAT,
     DESCRIPTOR_BYTES,
@@ -24,6 +24,7 @@ from hostlink.core.guardian.records import (
     encode_answer,
 )
 from hostlink.core.runtime.remains import SALVAGE, of_process, remove_empty
+from hostlink.core.runtime.stop_frames import INTERVAL_S
 
 HANG_S = 1.0  # after the last beat while a robot is driven; the daemon sends one every 0.2 s
 HOLD_POLL_S = 0.01  # while a device does not read
@@ -121,7 +122,7 @@ def listen(channel: _socket.socket, connections: dict[int, GuardedConnection]) -
             driven, held, beat_s = list(connections if numbers is None else numbers), [], time.monotonic()
             is_driven = bool(driven)
             continue
-        kind, number, zeros, end, claim_bytes = decode(record)
+        kind, number, stop_frames = decode(record)
         if kind == GOODBYE:
             return None
         if kind == PING:
@@ -132,7 +133,7 @@ def listen(channel: _socket.socket, connections: dict[int, GuardedConnection]) -
             old.close()
         if kind != RELEASE and ancillary:  # without a descriptor: this process has none left, which the answers show
             descriptor = int.from_bytes(ancillary[0][2][:DESCRIPTOR_BYTES], sys.byteorder)
-            connections[number] = GuardedConnection(descriptor, zeros, end, claim_bytes)
+            connections[number] = GuardedConnection(descriptor, stop_frames)
 
 
 def hold(connections: list[GuardedConnection], now_s: float) -> tuple[list[GuardedConnection], float | None]:

@@ -2,49 +2,43 @@
 
 import struct
 
+from hostlink.core.runtime.stop_frames import StopFrames
+
 WATCH = b"W"  # guard this robot's connection; its descriptor is attached
 RELEASE = b"R"  # the connection has ended, or is no longer a robot's
 BEAT = b"B"  # the daemon runs; names the links whose robots may move
 PING = b"P"  # answered with the number of guarded connections
 GOODBYE = b"G"  # the daemon ends normally; nothing is to be sent
 
-MAX_FRAMES_BYTES = 4096  # of a WATCH; sixteen stops of 100 bytes take half of it
+MAX_FRAMES_BYTES = 4096  # of the zeros and the end of a WATCH; sixteen stops of 100 bytes take half of it
 MAX_DRIVEN = 1024  # link numbers in a beat; a beat with more means all links
-_HEAD = struct.Struct("<cQIH")  # kind, link number, claim, number of frames; then their lengths, then the frames
+_HEAD = struct.Struct("<cQIdH")  # kind, link number, claim, interval, number of parts; then their lengths, then these
 _LENGTH = struct.Struct("<H")
 _ANSWER = struct.Struct("<II")
 _NUMBER_BYTES = 8
 MAX_RECORD_BYTES = 1 + _NUMBER_BYTES * (MAX_DRIVEN + 1)
 ANSWER_BYTES = _ANSWER.size
 DESCRIPTOR_BYTES = 4  # size of the int in SCM_RIGHTS
+_NOTHING = StopFrames()
 
 
-def fitting(zeros: tuple[bytes, ...], end: bytes) -> tuple[tuple[bytes, ...], bytes]:
-    """Return the frames of a WATCH for which there is room: zeros in their order without those too long, then the end.
-
-    An end without room is empty.
-    """
+def fitting(stop: StopFrames) -> StopFrames:
+    """Return these frames without those for which a WATCH has no room: zeros in their order, then the end."""
     fitted: list[bytes] = []
     room_bytes = MAX_FRAMES_BYTES
-    for frame in (*zeros, end):
+    for frame in (*stop.zeros, stop.end):
         is_fitting = len(frame) + _LENGTH.size <= room_bytes
         room_bytes -= (len(frame) + _LENGTH.size) * is_fitting
         fitted.append(frame if is_fitting else b"")
     *kept, kept_end = fitted
-    return tuple(filter(None, kept)), kept_end
+    return stop.replace(tuple(filter(None, kept)), kept_end)
 
 
-def encode(
-    kind: bytes, number: int = 0, zeros: tuple[bytes, ...] = (), end: bytes = b"", claim_bytes: int = 0
-) -> bytes:
-    """Encode any record but a beat.
-
-    `number`: of the link of WATCH and RELEASE. WATCH has the frames that `fitting` returned too, and the longest frame
-    that may have been sent to the device.
-    """
-    frames = (end, *zeros)
-    lengths = b"".join([_LENGTH.pack(len(frame)) for frame in frames])
-    return _HEAD.pack(kind, number, claim_bytes, len(frames)) + lengths + b"".join(frames)
+def encode(kind: bytes, number: int = 0, stop: StopFrames = _NOTHING) -> bytes:
+    """Encode any record but a beat. `number`: of the link of WATCH and RELEASE. WATCH has what `fitting` returned."""
+    parts = (stop.end, stop.lead, stop.separator, stop.acknowledger.encode(), *stop.zeros)
+    lengths = b"".join([_LENGTH.pack(len(part)) for part in parts])
+    return _HEAD.pack(kind, number, stop.claim_bytes, stop.interval_s, len(parts)) + lengths + b"".join(parts)
 
 
 def encode_beat(driven: set[int]) -> bytes:
@@ -59,16 +53,26 @@ def decode_beat(record: bytes) -> tuple[int, ...] | None:
     return None if count > MAX_DRIVEN else struct.unpack(f"<{count}Q", record[1:])
 
 
-def decode(record: bytes) -> tuple[bytes, int, tuple[bytes, ...], bytes, int]:
-    """Decode any record but a beat: kind, link number, zeros, end, claim.
+def decode(record: bytes) -> tuple[bytes, int, StopFrames]:
+    """Decode any record but a beat: kind, link number, what stops the device.
 
     Raises:
         struct.error: the bytes are not a record.
     """
-    kind, number, claim_bytes, count = _HEAD.unpack_from(record)
+    kind, number, claim_bytes, interval_s, count = _HEAD.unpack_from(record)
     lengths = struct.unpack_from(f"<{count}H", record, _HEAD.size)
-    frames = struct.unpack("".join([f"{length}s" for length in lengths]), record[_HEAD.size + _LENGTH.size * count :])
-    return kind, number, frames[1:], frames[0], claim_bytes
+    parts = struct.unpack("".join([f"{length}s" for length in lengths]), record[_HEAD.size + _LENGTH.size * count :])
+    end, lead, separator, acknowledger, *zeros = parts
+    stop = StopFrames(
+        tuple(zeros),
+        end,
+        claim_bytes=claim_bytes,
+        lead=lead,
+        separator=separator,
+        interval_s=interval_s,
+        acknowledger=acknowledger.decode(),
+    )
+    return kind, number, stop
 
 
 def encode_answer(connections: int, stopped: int) -> bytes:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hostlink.core.guardian.records import RELEASE, WATCH, encode
+from hostlink.core.runtime.stop_frames import StopFrames
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,9 +15,7 @@ class Watched:
     """Data needed to stop one robot."""
 
     connection: Callable[[], int | None]  # returns its descriptor while it is open
-    zeros: tuple[bytes, ...]
-    end: bytes
-    claim_bytes: int
+    stop: StopFrames
 
 
 class GuardedLinks:
@@ -51,8 +50,7 @@ class GuardedLinks:
             watched = self._wanted.get(number)
             descriptor = None if watched is None else watched.connection()
             if watched is not None and descriptor is not None:
-                record = encode(WATCH, number, watched.zeros, watched.end, watched.claim_bytes)
-                return record, descriptor
+                return encode(WATCH, number, watched.stop), descriptor
             if number in self._guarded:
                 return encode(RELEASE, number), None
             del self._unsent[number]  # closed before it was sent

@@ -382,11 +382,11 @@ class Device:
         if self.lock.lock_reason is not None:
             for info in self.infos:
                 if info.kind is EndpointKind.SUBSCRIBER and info.name in self._lockable:
-                    self.link.session.outbox.drop_commands(info.id)
+                    self.link.session.drop_commands(info)
         for info in self.unguarded:
             zero = self._zeros.get(info.name)
             if zero is None:
-                self.link.session.outbox.drop_commands(info.id)
+                self.link.session.drop_commands(info)
             else:
                 self.link.session.publish(info.name, zero, is_urgent=True)
         if self.unguarded:

@@ -8,7 +8,7 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -44,6 +44,7 @@ from hostlink.core.runtime.arrival import SETTLE_S
 from hostlink.core.runtime.host_pauses import HostPauses
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.loop_time import loop_time_s
+from hostlink.core.runtime.stop_frames import StopFrames
 from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind
 
@@ -53,20 +54,10 @@ log = structlog.get_logger()
 class Guard(Protocol):
     """Interface of the guardian. Its methods do not wait and raise nothing."""
 
-    def watch(
-        self,
-        number: int,
-        connection: Callable[[], int | None],
-        *,
-        zeros: Sequence[bytes],
-        end: bytes,
-        claim_bytes: int,
-    ) -> None:
+    def watch(self, number: int, connection: Callable[[], int | None], stop: StopFrames) -> None:
         """Guard a link with these frames, or replace them.
 
-        `connection` returns its descriptor while it is open. `zeros` are the frames that stop the device, one for each
-        velocity endpoint. `end` requests it to stop sending when this process is gone; it may be empty. `claim_bytes`
-        is the length of the longest sent frame. Frames beyond 4 KiB are dropped with a warning.
+        `connection` returns its descriptor while it is open. Frames beyond 4 KiB are dropped with a warning.
         """
         ...
 
@@ -341,7 +332,7 @@ class Gates:
             drivable.resumed_link = connection.link.number
         drivable.gate.restart()
         if not connection.drivables:
-            connection.link.last_frame = b""
+            connection.link.last_frames = ()
         connection.drivables.append(drivable)
         self._guard(drivable, connection)
         self._activate(drivable)
@@ -376,7 +367,7 @@ class Gates:
         self._active.pop(drivable, None)
         if self._guardian is not None and connection.stop_frames:
             self._guardian.release(connection.link.number)
-        connection.link.last_frame = b""
+        connection.link.last_frames = ()
         connection.stop_frames = []
         for other in connection.drivables:
             self._guard(other, connection)
@@ -768,17 +759,10 @@ class Gates:
         zeros = [*zip(drivable.endpoints, drivable.commands.encode(ZERO), strict=True), (drivable.stop_call, b"")]
         for info, zero in zeros:
             if info is not None:
-                frame = link.session.zero_frame(info, zero)
-                link.last_frame += frame
-                stops.append(frame)
-                if len(stops) == MAX_GUARDED + 1 and self._guardian is not None:
+                before = len(stops)
+                stops += link.session.zero_frames(info, zero)
+                if before <= MAX_GUARDED < len(stops) and self._guardian is not None:
                     log.warning("guardian.frames_dropped", link=link.number, guarded=MAX_GUARDED)
+        link.last_frames = link.session.stop_frames(tuple(stops)).last_writes
         if self._guardian is not None and stops:
-            claim_bytes = link.session.claim_bytes
-            self._guardian.watch(
-                link.number,
-                link.descriptor,
-                zeros=tuple(stops[:MAX_GUARDED]),
-                end=link.session.end_frame,
-                claim_bytes=claim_bytes,
-            )
+            self._guardian.watch(link.number, link.descriptor, link.session.stop_frames(tuple(stops[:MAX_GUARDED])))

@@ -225,7 +225,7 @@ class Links:
     def _announce(self, device: Device, event: events.TopicsNegotiated) -> None:
         log.info("topics.negotiated", count=len(event.topics), gap_at=event.gap_at, is_changed=event.is_changed)
         if event.is_changed:
-            device.link.last_frame = b""  # its id may belong to another topic now
+            device.link.last_frames = ()  # its id may belong to another topic now
             device.infos = event.topics
             self._identify(device)
         else:

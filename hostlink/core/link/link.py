@@ -111,7 +111,7 @@ class Link:
         "_config", "_context", "_drained", "_end", "_failure", "_finished", "_from_device", "_helper", "_idle_limit_s",
         "_is_behind", "_is_write_due", "_now_s", "_on_event", "_pauses", "_piece", "_reader",
         "_regular_limit_s", "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns",
-        "address", "came_s", "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s",
+        "address", "came_s", "command_latency", "kind", "last_frames", "number", "opened_at_s", "peer", "received_at_s",
         "session",
     )  # fmt: skip
 
@@ -139,7 +139,7 @@ class Link:
         self.kind, self.peer = transport.kind, transport.peer
         self.address = transport.address
         self.session = session
-        self.last_frame = b""  # the zero velocity of a robot; empty for other devices
+        self.last_frames: tuple[bytes, ...] = ()  # writes that stop a robot; empty for other devices
         self.command_latency = Latency()  # from a velocity's command to the transport
         room = CaptureRoom() if room is None else room
         self._from_device, self._to_device = CaptureBuffer(room), CaptureBuffer(room)
@@ -188,8 +188,8 @@ class Link:
             raise self._failure
         return end
 
-    def _close(self) -> bytes:
-        """Stop reading and writing. Return the final zero velocity; empty if none is to be sent."""
+    def _close(self) -> tuple[bytes, ...]:
+        """Stop reading and writing. Return the final zero velocities; empty if none are to be sent."""
         self._is_behind = True
         self._note_drained()
         self._reader.stop()
@@ -197,7 +197,7 @@ class Link:
             self._finished.cancel()
         if self._timer is not None:
             self._timer.cancel()
-        return b"" if self.session.outbox.is_stopped else self.last_frame
+        return () if self.session.outbox.is_stopped else self.last_frames
 
     def end(self, reason: LinkEnd) -> None:
         """End the link. `run` returns the reason."""

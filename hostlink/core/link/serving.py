@@ -92,11 +92,11 @@ async def serve(
     helper: Helper,
     opening: Callable[[], Coroutine[Any, Any, None]],
     transport: Transport,
-    close: Callable[[], bytes],
+    close: Callable[[], tuple[bytes, ...]],
 ) -> LinkEnd:
     """Run `opening`, and what the link gives its helper, until `finished` returns the reason of the end.
 
-    Then send the frame that `close` returns.
+    Then send the frames that `close` returns, each as one write.
 
     Raises:
         Exception: a callback of the link has failed, and `finished` raised its error.
@@ -116,21 +116,22 @@ async def serve(
         end = LinkEnd.BROKEN
         log.debug("link.broken", cause=str(broken.exceptions[0]))
     finally:
-        last_frame = close()
+        last_frames = close()
         try:
-            if last_frame:
-                await _send_last(transport, last_frame)
+            if last_frames:
+                await _send_last(transport, last_frames)
         finally:  # also when cancelled
             await transport.aclose()
     raise_if_cancelled()
     return end
 
 
-async def _send_last(transport: Transport, frame: bytes) -> None:
-    """Send the final zero velocity before closing. Give up after LAST_FRAME_TIMEOUT_S."""
+async def _send_last(transport: Transport, frames: tuple[bytes, ...]) -> None:
+    """Send the final zero velocities before closing. Give up after LAST_FRAME_TIMEOUT_S."""
     with contextlib.suppress(OSError):  # TimeoutError is an OSError
         async with asyncio.timeout(LAST_FRAME_TIMEOUT_S):
-            await transport.send(frame)
+            for frame in frames:
+                await transport.send(frame)
 
 
 async def drain(transport: Transport, timeout_s: float, pauses: Callable[[float], HostPauses]) -> None:

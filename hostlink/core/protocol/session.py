@@ -11,6 +11,7 @@ from hostlink.core.protocol.events import Event, Parameter
 from hostlink.core.protocol.link_evidence import Explain, explain_unreadable
 from hostlink.core.protocol.outbox import Outbox, OutgoingFrame
 from hostlink.core.runtime.compiled import mypyc_attr
+from hostlink.core.runtime.stop_frames import StopFrames
 from hostlink.errors import FrameTooLarge, HostlinkError
 
 
@@ -201,6 +202,10 @@ class DeviceSession(ABC):
             FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
         """
 
+    def drop_commands(self, endpoint: DeviceEndpoint) -> None:
+        """Send no message of an endpoint that waits: it would follow a zero."""
+        self.outbox.drop_commands(endpoint.id)
+
     @abstractmethod
     def endpoint_of(self, topic: str, payload: bytes) -> DeviceEndpoint:
         """Return the endpoint of a topic to which the device subscribes. It takes messages as long as this one.
@@ -274,21 +279,12 @@ class DeviceSession(ABC):
         """Queue a zero for an endpoint that has taken one before, if the device `may_have` it. Return whether so."""
 
     @abstractmethod
-    def zero_frame(self, endpoint: DeviceEndpoint, payload: bytes) -> bytes:
-        """Return the bytes of a zero that may be sent at any time and again: by the link's end, or the guardian."""
+    def zero_frames(self, endpoint: DeviceEndpoint, payload: bytes) -> tuple[bytes, ...]:
+        """Return messages that stop an endpoint and may be sent at any time and again: mostly one."""
 
-    @property
-    def end_frame(self) -> bytes:
-        """Bytes that request the device to stop sending; empty if there are none."""
-        return self.outbox.control.end
-
-    @property
-    def claim_bytes(self) -> int:
-        """Length of the longest frame that may have been sent in part, and takes the next bytes for its rest.
-
-        0 where each write is a whole message.
-        """
-        return 0
+    def stop_frames(self, zeros: tuple[bytes, ...]) -> StopFrames:
+        """Return these `zero_frames`, and how the link's end or the guardian writes them when the session cannot."""
+        return StopFrames(zeros, self.outbox.control.end)
 
 
 class DeviceProtocol(ABC):

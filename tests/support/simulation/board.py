@@ -7,8 +7,10 @@ from collections.abc import Callable
 
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.control import encode_topic_info
-from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.rosserial.frame import HEADER, Frame, Id, encode
+from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.core.protocol.rosserial.stream import FrameStream
+from hostlink.core.protocol.session import DeviceProtocol
 from tests.support.fake_device import topic
 from tests.support.simulation.clock import WorldLoop
 from tests.support.simulation.journal import Counted, Journal, Obeyed
@@ -25,6 +27,22 @@ Dial = Callable[["Board"], Connection | None]
 
 class Board:
     """rosserial's device side: announces its topics when it is asked, requests the time, and says no more than that."""
+
+    protocol: DeviceProtocol = ROSSERIAL
+    least_velocities = 10  # that it gets in a short ride
+    held_s = 0.0  # as in Opened
+
+    @staticmethod
+    def velocities_in(data: bytes) -> list[bytes]:
+        """Return the velocities in what is written to a board."""
+        found, start = [], data.find(b"\xff\xfe")
+        while 0 <= start <= len(data) - HEADER.size:
+            _, size_bytes, _, topic_id = HEADER.unpack_from(data, start)
+            begin = start + HEADER.size
+            if topic_id == VELOCITY_ID and size_bytes == TWIST.size:
+                found.append(data[begin : begin + size_bytes])
+            start = data.find(b"\xff\xfe", begin + size_bytes + 1)
+        return found
 
     def __init__(self, loop: WorldLoop, journal: Journal, dial: Dial, number: int, dice: random.Random) -> None:
         self.name, self.address = f"robot_{number}", f"10.0.0.{number + 2}"
@@ -121,16 +139,20 @@ class Board:
             case Id.STOP:
                 self._is_configured = False
             case topic_id if topic_id == VELOCITY_ID and len(frame.payload) == TWIST.size:
-                linear, *_, angular = TWIST.unpack(frame.payload)
-                self._obeyed_s = self._loop.world_s
-                self._drive(linear, angular)
-                if self.has_watchdog:
-                    self._loop.after(WATCHDOG_S + 1e-6, self._watch, self._life)
+                self._obey(frame.payload)
             case topic_id if topic_id == TEXT_ID and len(frame.payload) == NUMBER.size:
-                number = self.connection.number if self.connection is not None else 0
-                self._journal.add(
-                    Counted(self._loop.world_s, number, f"text {self.name}", *NUMBER.unpack(frame.payload))
-                )
+                self._count_text(frame.payload)
+
+    def _obey(self, payload: bytes) -> None:
+        linear, *_, angular = TWIST.unpack(payload)
+        self._obeyed_s = self._loop.world_s
+        self._drive(linear, angular)
+        if self.has_watchdog:
+            self._loop.after(WATCHDOG_S + 1e-6, self._watch, self._life)
+
+    def _count_text(self, payload: bytes) -> None:
+        number = self.connection.number if self.connection is not None else 0
+        self._journal.add(Counted(self._loop.world_s, number, f"text {self.name}", *NUMBER.unpack(payload)))
 
     def _watch(self, life: int) -> None:
         if life == self._life and self._loop.world_s >= self._obeyed_s + WATCHDOG_S and any(self.velocity):
@@ -153,19 +175,19 @@ class Board:
 
     def _tell_pose(self) -> None:
         self._move()
-        self._publish(encode(POSE_ID, POSE.pack(*self._pose)))
+        self._publish(POSE_ID, POSE.pack(*self._pose))
 
     def _tell_count(self) -> None:
-        if self._publish(encode(COUNT_ID, NUMBER.pack(self._count))):
+        if self._publish(COUNT_ID, NUMBER.pack(self._count)):
             self._count += 1
 
     def _request_time(self) -> None:
         if self._loop.world_s > self._time_s + DEAF_S:
             self._is_configured = False
-        self._publish(encode(Id.TIME, bytes(8)))
+        self._publish(Id.TIME, bytes(8))
 
-    def _publish(self, frame: bytes) -> bool:
-        return self._is_configured and not self._is_hung and self._send(frame)
+    def _publish(self, topic_id: int, payload: bytes) -> bool:
+        return self._is_configured and not self._is_hung and self._send(encode(topic_id, payload))
 
     def _send(self, data: bytes) -> bool:
         if self.connection is not None:

@@ -11,6 +11,7 @@ class Opened(NamedTuple):
     connection: int
     robot: str
     is_clean: bool  # its line damages nothing
+    held_s: float = 0.0  # for so long a velocity may wait until the board has read the one before
 
 
 class Appeared(NamedTuple):

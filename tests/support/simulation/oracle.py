@@ -159,7 +159,7 @@ def zeros(history: History) -> list[tuple[float, str]]:
             if left is not None and left[0] > order and left[1].at_s < due_s:
                 due_s, cause = left[1].at_s, "its source has left"
             until_s = min(next_s, end_s)
-            allowed_s = due_s + history.tolerance_s(each.at_s, until_s) + PACED_S
+            allowed_s = due_s + history.tolerance_s(each.at_s, until_s) + PACED_S + history.opened[connection].held_s
             for pause in history.pauses:
                 if pause.began_s <= allowed_s < pause.at_s:
                     allowed_s = min(pause.at_s, pause.began_s + HANG_S) + history.slack_s + BEAT_S
@@ -216,11 +216,11 @@ def interruptions(history: History) -> list[tuple[float, str]]:
 
 def _interruptions_by_robot(history: History) -> dict[str, list[Interruption]]:
     known: dict[str, list[Interruption]] = defaultdict(list)
-    locked = set[str]()
+    locked, appeared = set[str](), set[str]()  # a robot that the daemon does not know yet is not stopped
     for order, record in enumerate(history.records):
         match record:
             case Interrupted():
-                meant = history.meant(record)
+                meant = history.meant(record) & appeared
                 for robot in meant & locked if record.what == "unlock" else meant:
                     known[robot].append(Interruption(order, record.at_s, record.arrived_s, record.what))
                 locked = (
@@ -228,12 +228,14 @@ def _interruptions_by_robot(history: History) -> dict[str, list[Interruption]]:
                 )
             case Began():
                 locked.clear()
+                appeared.clear()
             case Paused() if record.at_s - record.began_s > LEASE_S + 0.001:
                 for robot in history.robots:
                     known[robot].append(Interruption(order, record.began_s, record.began_s, "pause"))
             case Appeared():
                 late = [each.began_s for each in history.pauses if each.began_s <= record.at_s <= each.at_s + 0.5]
                 came_s = min([record.at_s, *late])
+                appeared.add(record.robot)
                 known[record.robot].append(Interruption(order, record.at_s, came_s, "connection"))
     return known
 

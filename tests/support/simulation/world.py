@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import structlog
 from structlog.contextvars import merge_contextvars
@@ -14,13 +14,13 @@ from hostlink.core.config import Config, LinkConfig
 from hostlink.core.guardian.frames import StopWriter
 from hostlink.core.guardian.process import HANG_S
 from hostlink.core.hub.hub import Hub
-from hostlink.core.protocol.rosserial.frame import HEADER
-from hostlink.core.protocol.rosserial.protocol import ROSSERIAL
 from hostlink.core.runtime.cancellation import meanwhile
+from hostlink.core.runtime.stop_frames import StopFrames
 from tests.support.fake_device import CATALOG
-from tests.support.simulation.board import TWIST, VELOCITY_ID, Board
+from tests.support.simulation.board import TWIST, Board
 from tests.support.simulation.clock import WorldLoop
 from tests.support.simulation.journal import Began, Ended, Failed, Journal, Opened, Paused, Stuck, Written
+from tests.support.simulation.micro_ros import MicroRosBoard
 from tests.support.simulation.programs import Entrance, Program, Programs, number_of
 from tests.support.simulation.wire import Connection
 from tools.faults import Habits, Kind, Span
@@ -28,6 +28,7 @@ from tools.faults import Habits, Kind, Span
 WALL_NS = 1_800_000_000_000_000_000  # at the start of a run
 RECOVERY_S = 15.0  # in which boards and programs find the daemon again after the last fault
 RIDE_S = 1.5
+MICRO_ROS_SHARE = 0.8  # of the boards of every second world; the others have boards of rosserial alone
 LEAVE_S = 13.0  # in which the daemon notices that all have left: a silent link ends after 11 s
 
 
@@ -36,20 +37,12 @@ class Guardian:
 
     def __init__(self, world: "World") -> None:
         self._world = world
-        self._zeros: dict[int, tuple[Callable[[], int | None], tuple[bytes, ...], bytes, int]] = {}
+        self._zeros: dict[int, tuple[Callable[[], int | None], StopFrames]] = {}
         self._driven = set[int]()
         self._beat = 0
 
-    def watch(
-        self,
-        number: int,
-        connection: Callable[[], int | None],
-        *,
-        zeros: Sequence[bytes],
-        end: bytes,
-        claim_bytes: int,
-    ) -> None:
-        self._zeros[number] = connection, tuple(zeros), end, claim_bytes
+    def watch(self, number: int, connection: Callable[[], int | None], stop: StopFrames) -> None:
+        self._zeros[number] = connection, stop
 
     def release(self, number: int) -> None:
         self._zeros.pop(number, None)
@@ -75,8 +68,7 @@ class Guardian:
         connection = None if found is None else self._world.connections.get(found[0]() or 0)
         if found is None or connection is None:
             return
-        _, zeros, end, claim_bytes = found
-        writer, began_s = StopWriter(zeros, claim_bytes, end if is_end else b""), self._world.loop.world_s
+        writer, began_s = StopWriter(found[1], has_end=is_end), self._world.loop.world_s
 
         def step() -> None:
             while data := writer.pop_due(self._world.loop.world_s - began_s + 1e-9):
@@ -103,7 +95,7 @@ class World:
         self.hub: Hub | None = None
         self._entrance = Entrance(self.journal)
         self._number = self._connection_number = 0
-        self._robots: dict[int, str] = {}  # by connection
+        self._robots: dict[int, Board] = {}  # by connection
         self._is_ending = asyncio.Event()
         self._daemon: asyncio.Task[None] | None = None
         self._config = self._draw_config()
@@ -111,7 +103,7 @@ class World:
         self._board_habits = [self._draw_habits() for _ in range(count)]
         self._is_clean = [self._dice.random() < 0.8 for _ in range(count)]
         self.boards = [
-            Board(loop, self.journal, self._dial_board, number, random.Random(f"{seed} board {number}"))
+            self._kind(number)(loop, self.journal, self._dial_board, number, random.Random(f"{seed} board {number}"))
             for number in range(count)
         ]
         robots = [board.name for board in self.boards]
@@ -166,6 +158,10 @@ class World:
         ]
         chosen = self._dice.sample(kinds, self._dice.randint(1, len(kinds)))
         return chosen if self._dice.random() < 0.9 else []
+
+    def _kind(self, number: int) -> type[Board]:
+        share = 0.0 if self._seed % 2 else MICRO_ROS_SHARE
+        return MicroRosBoard if random.Random(f"{self._seed} protocol {number}").random() < share else Board
 
     def draw_number(self) -> int:
         """Return a number that no other command has."""
@@ -253,7 +249,7 @@ class World:
             program.ride(board.name, RIDE_S)
             await self._until(self.loop.world_s + RIDE_S + 1.0)
             after = sum(isinstance(each, Written) and each.number > 0 for each in self.journal.records)
-            if after < before + 10 and board.connection is not None:
+            if after < before + board.least_velocities and board.connection is not None:
                 self.journal.add(Failed(self.loop.world_s, f"{board.name} cannot be driven when nothing happens"))
             if any(board.velocity):
                 self.journal.add(Failed(self.loop.world_s, f"{board.name} drives on after the last zero"))
@@ -316,8 +312,8 @@ class World:
             return None
         number = self.boards.index(board)
         connection = self._connect(board.address, self._board_habits[number], board)
-        self._robots[connection.number] = board.name
-        self.journal.add(Opened(self.loop.world_s, connection.number, board.name, self._is_clean[number]))
+        self._robots[connection.number] = board
+        self.journal.add(Opened(self.loop.world_s, connection.number, board.name, self._is_clean[number], board.held_s))
         connection.host.on_written = lambda data: self.note_written(connection, data, by_guardian=False)
         connection.host.on_stuck = lambda is_stuck: self.journal.add(
             Stuck(self.loop.time(), connection.number, is_stuck)
@@ -332,7 +328,7 @@ class World:
             connection.cut()
 
     async def _serve_link(self, hub: Hub, connection: Connection) -> None:
-        link = hub.links.open(connection.host, ROSSERIAL)
+        link = hub.links.open(connection.host, self._robots[connection.number].protocol)
         try:
             await hub.links.serve(link)
         finally:
@@ -361,15 +357,11 @@ class World:
     def note_written(self, connection: Connection, data: bytes, *, by_guardian: bool) -> None:
         """Note the velocities in what is written to a board."""
         at_s = self.loop.world_s if by_guardian else self.loop.time()
-        robot, start = self._robots[connection.number], data.find(b"\xff\xfe")
-        while 0 <= start <= len(data) - HEADER.size:
-            _, size_bytes, _, topic_id = HEADER.unpack_from(data, start)
-            begin = start + HEADER.size
-            if topic_id == VELOCITY_ID and size_bytes == TWIST.size:
-                linear, *_, angular = TWIST.unpack_from(data, begin)
-                number = number_of(linear, angular)
-                self.journal.add(Written(at_s, connection.number, robot, number, by_guardian))
-            start = data.find(b"\xff\xfe", begin + size_bytes + 1)
+        board = self._robots[connection.number]
+        for velocity in board.velocities_in(data):
+            linear, *_, angular = TWIST.unpack(velocity)
+            number = number_of(linear, angular)
+            self.journal.add(Written(at_s, connection.number, board.name, number, by_guardian))
 
     # -- the weather --------------------------------------------------------------------------------------------------
 

@@ -16,6 +16,8 @@ OVERHEAD_BYTES = 8  # seven bytes of header, one of checksum
 MAX_PAYLOAD_BYTES = 0xFFFF
 FIRST_TOPIC_ID = 100  # the first topic id of a device
 ADLER_MAX_BYTES = 256  # this many bytes of 255 sum to less than Adler's modulus of 65521
+SEPARATOR = b"\0"  # ignored between frames; without it, a frame that ends with FF would hide the next sync
+LEAD = bytes(3)  # length and checksum of a header after the sync. A sync there could give it a length of 65 kB
 _PROTOCOL_1_HEAD = re.compile(rb"(?=\xff\xff..(.)\x00)", re.DOTALL)  # a payload length below 256
 PROTOCOL_1_MAX_BYTES = 262  # 255 of payload, two syncs, id, length and checksum
 

@@ -24,9 +24,11 @@ from hostlink.core.protocol.rosserial.findings import explain
 from hostlink.core.protocol.rosserial.frame import (
     FIRST_TOPIC_ID,
     HEADER,
+    LEAD,
     MAX_PAYLOAD_BYTES,
     OVERHEAD_BYTES,
     PROTOCOL_1_MAX_BYTES,
+    SEPARATOR,
     STOP_REQUEST,
     SYNC,
     TOPICS_REQUEST,
@@ -39,6 +41,7 @@ from hostlink.core.protocol.rosserial.negotiation import NegotiationScheduler, S
 from hostlink.core.protocol.rosserial.stream import DEFAULT_LIMIT_BYTES, FrameStream, Rejection, Skipped
 from hostlink.core.protocol.rosserial.topic_table import MAX_TOPICS, TopicTable
 from hostlink.core.protocol.session import DeviceSession
+from hostlink.core.runtime.stop_frames import StopFrames
 from hostlink.errors import BadRequest, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 
 STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
@@ -203,11 +206,6 @@ class Session(DeviceSession):
     def topics(self) -> tuple[DeviceEndpoint, ...]:
         """The usable endpoints of the last negotiation."""
         return self._known
-
-    @property
-    def claim_bytes(self) -> int:
-        """Length of the longest frame that may have been sent to the device in part."""
-        return max((_buffer_bytes(info) for info in self._known if info.is_to_device), default=DEFAULT_BUFFER_BYTES)
 
     @property
     def refusals(self) -> tuple[tuple[DeviceEndpoint, HostlinkError], ...]:
@@ -419,9 +417,20 @@ class Session(DeviceSession):
         """Return the error about a payload that exceeds the device's buffer, with the sizes of whole frames."""
         return FrameTooLarge(endpoint.name, payload_bytes + OVERHEAD_BYTES, _buffer_bytes(endpoint))
 
-    def zero_frame(self, endpoint: DeviceEndpoint, payload: bytes) -> bytes:
+    def zero_frames(self, endpoint: DeviceEndpoint, payload: bytes) -> tuple[bytes, ...]:
         """Return the frame of a zero."""
-        return encode(endpoint.id, payload)
+        return (encode(endpoint.id, payload),)
+
+    def stop_frames(self, zeros: tuple[bytes, ...]) -> StopFrames:
+        """Return these frames. One that was sent in part takes the next bytes for its rest."""
+        buffers_bytes = (_buffer_bytes(info) for info in self._known if info.is_to_device)
+        return StopFrames(
+            zeros,
+            self.outbox.control.end,
+            claim_bytes=max(buffers_bytes, default=DEFAULT_BUFFER_BYTES),
+            lead=LEAD,
+            separator=SEPARATOR,
+        )
 
     def _endpoint(self, what: str, name: str, kind: EndpointKind) -> DeviceEndpoint:
         info = self._topics.by_name.get((name, kind))

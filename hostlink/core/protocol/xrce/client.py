@@ -54,6 +54,15 @@ CREATING_SILENCE_S: Final = 0.06
 HEARTBEAT_MAX_S: Final = 1.0
 
 
+EMPTY: Final = encode_heartbeat(0, 0, BEST_EFFORT)  # about a stream that has none: a client ignores it
+_DATA: Final = bytes((Kind.DATA,))
+
+
+def is_data_for(body: bytes, object_id: int) -> bool:
+    """Whether the first submessage of a body is a message for this reader."""
+    return body[:1] == _DATA and body[SUBHEADER_BYTES + 2 : SUBHEADER_BYTES + 4] == object_id.to_bytes(2, "big")
+
+
 class Reading:
     """Request of a client for messages to a reader, replier or requester, and what it has had of them."""
 
@@ -105,6 +114,7 @@ class XrceClient:
         self.id_key = info.key if info.session < KEYLESS else b""
         self.header_bytes = header_bytes(info.session)
         self.mtu = min(info.mtu, limit_bytes)
+        self.is_announced = False  # the hub knows its endpoints; only zeros are sent before
         self.objects = ObjectTable(max_endpoints)
         self.readings: dict[int, Reading] = {}
         self.reads: dict[int, bytes] = {}  # payload of each READ_DATA that counts
@@ -179,6 +189,13 @@ class XrceClient:
             self.calls.pop(id_, None)
             self.samples.pop(id_, None)
         return status
+
+    def drop_samples(self, object_id: int) -> int:
+        """Drop what waits for a reader, and blank what was sent and may be sent again. Return how many were dropped."""
+        count = len(self.samples.pop(object_id, ()))
+        waiting = len(self.waiting)
+        self.waiting = deque(each for each in self.waiting if not is_data_for(each, object_id))
+        return count + waiting - len(self.waiting) + self.output.blank(lambda body: is_data_for(body, object_id), EMPTY)
 
     # -- from the client ----------------------------------------------------------------------------------------------
 
@@ -269,6 +286,10 @@ class XrceClient:
         self.numbers[stream] = number_after(number)
         return message[:2] + number.to_bytes(2, "little") + message[4:]
 
+    def may_acknowledge(self, stream: ReliableInput) -> bool:
+        """Whether the next number of a stream is surely one of the client's present session."""
+        return stream.fits and not self.is_reset_due
+
     def is_repair_due(self, now_s: float) -> bool:
         """Whether an ACKNACK in the same message may repair a loss, and repeats no other.
 
@@ -276,7 +297,7 @@ class XrceClient:
         message that it gets, and waits for up to a second without this.
         """
         main = self.inputs.get(RELIABLE)
-        if main is None or not main.fits or now_s - self.told_s <= self.round_trip_s:
+        if main is None or not self.may_acknowledge(main) or now_s - self.told_s <= self.round_trip_s:
             return False
         blocked_s = min(max(SILENCE_S, 3 * self.round_trip_s), SILENCE_MAX_S)
         return now_s - self.message_s > min(SILENCE_GAPS * self.gap_s, blocked_s)
@@ -301,7 +322,7 @@ class XrceClient:
         pause_s = max(CREATING_SILENCE_S, 2 * self.round_trip_s)
         self.repair_s = now_s + pause_s if now_s < self._creating_until_s else float("inf")
         main = self.input(RELIABLE)
-        if main is None or not main.fits:
+        if main is None or not self.may_acknowledge(main):
             return b""
         return self.message(NO_STREAM, self.acknack(main, now_s, is_repair=True))
 
@@ -353,8 +374,7 @@ class XrceClient:
         if self.output.is_known:
             return self.message(NO_STREAM, self.heartbeat(now_s))
         self.note_provoked(now_s)
-        empty = encode_heartbeat(0, 0, BEST_EFFORT)  # about a stream that has none: the client ignores it
-        return self.message(RELIABLE, empty, (self.output.first - 1) % NUMBERS)
+        return self.message(RELIABLE, EMPTY, (self.output.first - 1) % NUMBERS)
 
     def tried(self, now_s: float) -> bytes:
         """Return the message that tries whether the client keeps a long one."""

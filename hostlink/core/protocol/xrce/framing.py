@@ -264,6 +264,19 @@ def _frame(source: int, destination: int, message: bytes) -> bytes:
     return _BEGIN + escaped.replace(_BEGIN, bytes((ESCAPE, BEGIN ^ FLIP)))
 
 
+FRAMINGS: Final[tuple[type[Framing], ...]] = (
+    DatagramFraming,
+    LengthFraming,
+    SerialFraming,
+    CapturedDatagramFraming,
+)
+
+
+def framing_on(transport: str) -> type[Framing]:
+    """Return the framing on a transport, as `Framing.transport` names it; that of UDP if it is not known."""
+    return next((each for each in FRAMINGS if each.transport == transport), DatagramFraming)
+
+
 def _raw_end(chunk: bytes, count: int) -> int:
     """Return how many bytes of a chunk have its first `count` plain ones."""
     at = 0

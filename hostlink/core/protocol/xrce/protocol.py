@@ -4,13 +4,7 @@ from collections.abc import Callable
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.session import DeviceProtocol
-from hostlink.core.protocol.xrce.framing import (
-    CapturedDatagramFraming,
-    DatagramFraming,
-    Framing,
-    LengthFraming,
-    SerialFraming,
-)
+from hostlink.core.protocol.xrce.framing import FRAMINGS, DatagramFraming, Framing, framing_on
 from hostlink.core.protocol.xrce.payloads import Payloads
 from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import NAME, XrceSession
@@ -32,9 +26,8 @@ class Xrce(DeviceProtocol):
     @classmethod
     def on(cls, transport: str, *, velocity_stream: int = NO_STREAM) -> "Xrce":
         """Return the protocol on a transport, as Framing.transport names it; on UDP if it is not known."""
-        framing = next((each for each in FRAMINGS if each.transport == transport), DatagramFraming)
-        is_whole = issubclass(framing, DatagramFraming)
-        return cls(framing, keeps_datagrams=is_whole, velocity_stream=velocity_stream)
+        framing = framing_on(transport)
+        return cls(framing, keeps_datagrams=issubclass(framing, DatagramFraming), velocity_stream=velocity_stream)
 
     def session(
         self,
@@ -81,5 +74,4 @@ class Xrce(DeviceProtocol):
         return b"".join(framing.encode(each) for each in answers if each is not None)
 
 
-FRAMINGS: tuple[type[Framing], ...] = (DatagramFraming, LengthFraming, SerialFraming, CapturedDatagramFraming)
 MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL = (Xrce.on(each.transport) for each in FRAMINGS[:3])

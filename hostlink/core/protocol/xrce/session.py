@@ -16,7 +16,7 @@ from hostlink.core.protocol.events import Parameter
 from hostlink.core.protocol.link_evidence import Explain
 from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
 from hostlink.core.protocol.session import DeviceSession
-from hostlink.core.protocol.xrce.client import REPEAT_S, WAITING_MAX, Reading, XrceClient, Zero
+from hostlink.core.protocol.xrce.client import EMPTY, REPEAT_S, WAITING_MAX, Reading, XrceClient, Zero, is_data_for
 from hostlink.core.protocol.xrce.findings import Facts, OwnCounts, explain
 from hostlink.core.protocol.xrce.framing import Framing
 from hostlink.core.protocol.xrce.names import NO_TYPE
@@ -66,8 +66,8 @@ from hostlink.core.protocol.xrce.wire import (
     encode_submessage,
     encode_timestamp_reply,
     join_submessages,
-    number_after,
 )
+from hostlink.core.runtime.stop_frames import StopFrames
 from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 
 NAME: Final = "micro-ROS"
@@ -82,8 +82,10 @@ LATE_CREATION_S: Final = 2.0  # a CREATE_CLIENT of the session before is a late 
 ACKNOWLEDGING_S: Final = 0.5  # a resumed client with a reliable stream acknowledges something until then
 EVIDENCE: Final = 3  # messages that fit the state of one without
 RESUMED_NUMBERS_MAX: Final = 8192  # that may have passed since the state was stored
+ZERO_NUMBERS: Final = (0, 0x5555, 0xAAAA)
+STOP_INTERVAL_S: Final = 0.12  # a client asks for an acknowledgement after 100 ms without a message
+ACKNOWLEDGER: Final = "hostlink.core.protocol.xrce.acknowledging"
 STORED_BITS: Final = 11  # a state is stored again when 2,048 numbers have passed
-FAR_NUMBERS: Final = 0x4000
 ZEROS_BYTES: Final = 64  # of a response whose layout is unknown
 CALLS_MAX: Final = 16  # of one service client or service of the device, waiting
 FRAGMENT_BYTE: Final = bytes((Kind.FRAGMENT,))
@@ -452,7 +454,7 @@ class XrceSession(DeviceSession):
         if is_urgent:
             message = self._velocity(client, endpoint, content)
             client.zeros.pop(endpoint.id, None)
-            client.samples.pop(object_id(endpoint), None)
+            self._drop_samples(client, endpoint)
             if client.is_listening(self._now_s) or (client.is_slow and client.flying_until_s > self._now_s):
                 self.outbox.replaced += endpoint.id in client.held
                 client.held[endpoint.id] = (message, is_kept)
@@ -476,27 +478,40 @@ class XrceSession(DeviceSession):
             self.call(endpoint.name, payload)
             return True
         client.held.pop(endpoint.id, None)
+        self._drop_samples(client, endpoint)
         message = self._velocity(client, endpoint, self._translated(endpoint, payload))
         client.zeros[endpoint.id] = Zero(message, self._now_s)
         self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)
         return True
 
-    def zero_frame(self, endpoint: DeviceEndpoint, payload: bytes) -> bytes:
-        """Return the bytes of a zero: a message without a number, which stays the same.
+    def drop_commands(self, endpoint: DeviceEndpoint) -> None:
+        """Send no message of an endpoint that waits, and none again that was lost."""
+        super().drop_commands(endpoint)
+        client = self._client_of(endpoint)
+        if client is not None:
+            client.held.pop(endpoint.id, None)
+            self._drop_samples(client, endpoint)
 
-        On a best-effort stream it has a number that no message has for a long time.
+    def zero_frames(self, endpoint: DeviceEndpoint, payload: bytes) -> tuple[bytes, ...]:
+        """Return a zero: a message without a number, which stays the same.
+
+        On a best-effort stream a client takes numbers that are ahead of its newest one, by less than half of all. Of
+        three zeros, each a third of all numbers ahead of the one before, the newest number is behind one at any time.
         """
         client = self._client_of(endpoint)
         if client is None:
-            return b""
+            return ()
         content = self._translated(endpoint, payload)
         if endpoint.kind is not EndpointKind.SUBSCRIBER:  # a service that stops the device
             content = _identity(0) + content
         data = encode_data(client.request_of(object_id(endpoint)), object_id(endpoint), content)
-        number = 0
-        if self._velocity_stream != NO_STREAM:
-            number = number_after(client.numbers.get(self._velocity_stream, 0), FAR_NUMBERS)
-        return self._framing.encode(client.message(self._velocity_stream, data, number))
+        numbers = (0,) if self._velocity_stream == NO_STREAM else ZERO_NUMBERS
+        messages = (client.message(self._velocity_stream, data, number) for number in numbers)
+        return tuple(map(self._framing.encode, messages))
+
+    def stop_frames(self, zeros: tuple[bytes, ...]) -> StopFrames:
+        """Return these messages, and what acknowledges those of the board. On TCP none is expected to be half sent."""
+        return StopFrames(zeros, interval_s=STOP_INTERVAL_S, acknowledger=f"{ACKNOWLEDGER}:{self._framing.transport}")
 
     def endpoint_of(self, topic: str, payload: bytes) -> DeviceEndpoint:
         """Return the endpoint of a topic to which the device subscribes. It takes messages as long as this one.
@@ -591,7 +606,7 @@ class XrceSession(DeviceSession):
         """Return the endpoint of a name, its client, and the payload for it."""
         endpoint = self._by_name.get((name, kind))
         client = None if endpoint is None or self._object_of(endpoint) is None else self._client_of(endpoint)
-        if endpoint is None or client is None:
+        if endpoint is None or client is None or not client.is_announced:  # it may have begun anew, at rest
             raise UnknownTopic(what, name, tuple(each.name for each in self._known if each.kind is kind))
         if endpoint.key in self._refused:
             raise self._refused[endpoint.key].with_traceback(None)  # otherwise the traceback grows with each raise
@@ -628,6 +643,17 @@ class XrceSession(DeviceSession):
         if len(message) > client.mtu:
             raise FrameTooLarge(endpoint.name, len(message), client.mtu)
         return message
+
+    def _drop_samples(self, client: XrceClient, endpoint: DeviceEndpoint) -> None:
+        """Drop the messages of a reader that wait. A number that was given is sent with an empty body.
+
+        Of a message in fragments the client needs all: these stay.
+        """
+        id_, start = object_id(endpoint), client.header_bytes
+        self.outbox.replaced += client.drop_samples(id_)
+        for each in self.outbox.answers.get(ANSWERS, ()):
+            if each.frame[0] == client.session and is_data_for(each.frame[start:], id_):
+                each.frame = each.frame[:start] + EMPTY
 
     # -- messages from the device -------------------------------------------------------------------------------------
 
@@ -757,6 +783,8 @@ class XrceSession(DeviceSession):
             reliable = client.input(told.stream) if told.stream >= RELIABLE else None
             if reliable is not None:
                 self.quality.waits += 1
+                if client.is_reset_due and told.first and abs(distance(reliable.next, told.second)) <= WINDOW:
+                    client.is_reset_due = False  # a late CREATE_CLIENT: the session is the same
                 bodies = reliable.heartbeat(told.first, told.second)
                 self._read_bodies(client, reliable, bodies, found, is_asked=True)
         elif kind == Kind.READ_DATA and (wanted := decode_read(submessage)) is not None:
@@ -874,6 +902,7 @@ class XrceSession(DeviceSession):
         if message.number == 0 or (reliable is not None and abs(distance(reliable.next, message.number)) > WINDOW):
             client.reset_streams(now_s)
             self.quality.restarts += 1
+            client.is_announced = False
             self.outbox.drop_messages()
             self._is_restarted = True
             self._announce_s = now_s + QUIET_S
@@ -1018,6 +1047,7 @@ class XrceSession(DeviceSession):
     def _endpoints(self) -> Iterable[DeviceEndpoint]:
         for client in self._clients.values():
             if client.is_confirmed:
+                client.is_announced = True
                 for each in client.objects.endpoints():
                     name, type_ = client.objects.name_and_type(each)
                     for kind in ENDPOINTS[each.kind]:
@@ -1043,7 +1073,7 @@ class XrceSession(DeviceSession):
         for session, key, stream in self._acks:
             client = self._clients.get((session, key))
             reliable = None if client is None else client.inputs.get(stream)
-            if client is not None and reliable is not None and reliable.fits:
+            if client is not None and reliable is not None and client.may_acknowledge(reliable):
                 self.quality.missing += bool(reliable.missing())
                 message = client.message(NO_STREAM, client.acknack(reliable, now_s))
                 self.outbox.put_answer((session, key, stream), message, depth=1)

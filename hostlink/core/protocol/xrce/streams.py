@@ -6,6 +6,7 @@ because a client that gets a wrong acknowledgement loses its own numbers.
 """
 
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 from hostlink.core.protocol.xrce.wire import NUMBERS, RELIABLE, Range, distance, number_after
@@ -316,6 +317,13 @@ class ReliableOutput:
         missing = [place for place in range(len(self._unacked)) if told.second >> place & 1]
         due = [(place, self._unacked[place]) for place in missing if self._unacked[place].at_s <= now_s - older_than_s]
         return [(number_after(self.first, place), self._repeat(sent, now_s)) for place, sent in due]
+
+    def blank(self, is_blanked: Callable[[bytes], bool], empty: bytes) -> int:
+        """Replace bodies that may be sent again by an empty one: their numbers are given. Return how many."""
+        found = [each for each in self._unacked if is_blanked(each.body)]
+        for each in found:
+            each.body = empty
+        return len(found)
 
     # -- messages that may be longer than the client's history ---------------------------------------------------------
 

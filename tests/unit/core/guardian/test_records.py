@@ -7,24 +7,36 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.core.guardian import records
+from hostlink.core.runtime.stop_frames import StopFrames
+from tests.support.rosserial_stop import rosserial_stop
 
 NUMBERS = st.integers(0, 2**64 - 1)
 
 
 FRAMES = st.lists(st.binary(min_size=1, max_size=200), max_size=16).map(tuple)
+STOPS = st.builds(
+    StopFrames,
+    FRAMES,
+    st.binary(max_size=20),
+    claim_bytes=st.integers(0, 2**32 - 1),
+    lead=st.binary(max_size=4),
+    separator=st.binary(max_size=2),
+    interval_s=st.floats(0.01, 1.0),
+    acknowledger=st.text(max_size=50),
+)
 
 
-@given(NUMBERS, FRAMES, st.binary(max_size=20), st.integers(0, 2**32 - 1))
-def test_encoded_record_is_decoded(number: int, zeros: tuple[bytes, ...], end: bytes, claim_bytes: int) -> None:
-    record = records.encode(records.WATCH, number, zeros, end, claim_bytes)
-    assert records.decode(record) == (records.WATCH, number, zeros, end, claim_bytes)
+@given(NUMBERS, STOPS)
+def test_encoded_record_is_decoded(number: int, stop: StopFrames) -> None:
+    record = records.encode(records.WATCH, number, stop)
+    assert records.decode(record) == (records.WATCH, number, stop)
     for kind in (records.RELEASE, records.PING, records.GOODBYE):
-        assert records.decode(records.encode(kind, number)) == (kind, number, (), b"", 0)
+        assert records.decode(records.encode(kind, number)) == (kind, number, StopFrames())
 
 
 @given(FRAMES, st.binary(max_size=20), st.data())
 def test_record_cut_anywhere_is_not_decoded(zeros: tuple[bytes, ...], end: bytes, data: st.DataObject) -> None:
-    record = records.encode(records.WATCH, 1, zeros, end, 512)
+    record = records.encode(records.WATCH, 1, rosserial_stop(zeros, 512, end))
     size_bytes = data.draw(st.integers(0, len(record) - 1))
     with pytest.raises(struct.error):
         records.decode(record[:size_bytes])
@@ -33,10 +45,11 @@ def test_record_cut_anywhere_is_not_decoded(zeros: tuple[bytes, ...], end: bytes
 @given(st.lists(st.integers(1, 70_000), max_size=24), st.integers(0, 5000))
 def test_frames_that_fit_are_kept_in_order_and_the_record_fits_the_buffer(sizes: list[int], end_bytes: int) -> None:
     zeros = tuple(bytes(size) for size in sizes)
-    fitted, end = records.fitting(zeros, bytes(end_bytes))
-    each = iter(zeros)
+    stop = records.fitting(rosserial_stop(zeros, 512, bytes(end_bytes)))
+    fitted, end, each = stop.zeros, stop.end, iter(zeros)
     assert all(frame in each for frame in fitted)
-    assert len(records.encode(records.WATCH, 1, fitted, end, 512)) <= records.MAX_RECORD_BYTES
+    assert stop == rosserial_stop(fitted, 512, end)
+    assert len(records.encode(records.WATCH, 1, stop)) <= records.MAX_RECORD_BYTES
     room_bytes = records.MAX_FRAMES_BYTES - sum(len(frame) + 2 for frame in fitted)
     assert room_bytes >= 0
     assert end in {bytes(end_bytes), b""}
@@ -48,8 +61,11 @@ def test_frames_that_fit_are_kept_in_order_and_the_record_fits_the_buffer(sizes:
 
 
 def test_a_frame_that_is_too_long_takes_no_room_from_the_others() -> None:
-    assert records.fitting((b"a", bytes(5000), b"b"), b"e") == ((b"a", b"b"), b"e")
-    assert records.fitting((bytes(4095), bytes(4094), b"b"), b"e") == ((bytes(4094),), b"")
+    def fitting(*frames: bytes) -> StopFrames:
+        return records.fitting(StopFrames(frames, b"e"))
+
+    assert fitting(b"a", bytes(5000), b"b") == StopFrames((b"a", b"b"), b"e")
+    assert fitting(bytes(4095), bytes(4094), b"b") == StopFrames((bytes(4094),), b"")
 
 
 @given(st.sets(NUMBERS))

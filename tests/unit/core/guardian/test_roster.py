@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from hostlink.core.guardian import records
 from hostlink.core.guardian.roster import GuardedLinks, Watched
+from tests.support.rosserial_stop import rosserial_stop
 
 STEPS = st.lists(st.tuples(st.sampled_from(["watch", "release", "close", "tell", "forget"]), st.integers(1, 4)))
 
@@ -22,10 +23,10 @@ class Guardian:
         if found is None:
             return False
         record, descriptor = found
-        kind, number, zeros, _, _ = records.decode(record)
+        kind, number, stop = records.decode(record)
         if kind == records.WATCH:
             assert descriptor is not None
-            (self.connections[number],) = zeros
+            (self.connections[number],) = stop.zeros
         else:
             assert descriptor is None
             del self.connections[number]
@@ -39,13 +40,13 @@ class Guardian:
 
 
 def watched(zero: bytes = b"zero", descriptor: int | None = 7) -> Watched:
-    return Watched(lambda: descriptor, (zero,), b"end", 512)
+    return Watched(lambda: descriptor, rosserial_stop((zero,), 512))
 
 
 def test_link_is_sent_with_its_descriptor_then_released() -> None:
     roster = GuardedLinks()
     roster.watch(3, watched())
-    assert roster.next() == (records.encode(records.WATCH, 3, (b"zero",), b"end", 512), 7)
+    assert roster.next() == (records.encode(records.WATCH, 3, rosserial_stop((b"zero",), 512)), 7)
     roster.confirm(has_descriptor=True)
     assert (roster.next(), roster.connections) == (None, 1)
     roster.release(3)
@@ -115,7 +116,9 @@ def test_guardian_finally_has_exactly_the_open_watched_links(steps: list[tuple[s
             closed.discard(number)
             wanted[number] = bytes(number_of_step)
             zeros = (wanted[number],)
-            roster.watch(number, Watched(lambda number=number: None if number in closed else 7, zeros, b"", 512))
+            roster.watch(
+                number, Watched(lambda number=number: None if number in closed else 7, rosserial_stop(zeros, 512))
+            )
         elif step == "release":
             wanted.pop(number, None)
             roster.release(number)

@@ -81,7 +81,7 @@ def test_robot_receives_zero_at_once_and_is_driven_again_after_a_second_announce
 def test_all_of_its_zeros_are_sent_and_it_stays_guarded_while_the_damage_lasts(damaged: DeviceEndpoint) -> None:
     async def test(made: MemoryHub) -> None:
         device = await driven(made)
-        zero = device.link.last_frame
+        (zero,) = device.link.last_frames
         device.infos = []  # it answers no topic request
         device.heard.clear()
         await announce(device, with_damage(damaged))
@@ -90,7 +90,7 @@ def test_all_of_its_zeros_are_sent_and_it_stays_guarded_while_the_damage_lasts(d
         assert after[after.index((0.0, 0.0)) :][:3] == [(0.0, 0.0)] * 3
         assert (0.1, 0.0) not in after[after.index((0.0, 0.0)) :]
         assert twist_zeros(100)[0] in made.guard.watched[device.link.number][0]
-        assert zero in device.link.last_frame
+        assert zero in device.link.last_frames[0]
 
     in_hub(test)
 
@@ -152,7 +152,7 @@ def test_no_zero_is_sent_to_an_id_with_another_meaning() -> None:
         await asyncio.sleep(2.0)
         assert device.payloads(100) == []
         assert device.link.number not in made.guard.watched
-        assert device.link.last_frame == b""
+        assert device.link.last_frames == ()
 
     in_hub(test)
 

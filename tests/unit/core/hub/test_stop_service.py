@@ -108,7 +108,7 @@ def test_last_frames_of_a_link_and_of_the_guardian_call_the_service() -> None:
         stop = encode(STOP, b"")
         connection = made.hub.robots.device(device.link)
         assert connection is not None
-        assert device.link.last_frame.endswith(stop)
+        assert device.link.last_frames[0].endswith(stop)
         assert stop in connection.stop_frames
 
     in_hub(test, CONFIG)

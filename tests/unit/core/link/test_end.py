@@ -15,7 +15,7 @@ from tests.support.virtual_loop import virtual
 async def test_cancelled_link_closes_the_connection_while_its_last_frame_waits() -> None:
     transport, device = memory_pair(room_bytes=0)  # the device reads nothing
     link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=lambda _link, _event: None)
-    link.last_frame = bytes(56)
+    link.last_frames = (bytes(56),)
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(link.run())
         await asyncio.sleep(1.0)

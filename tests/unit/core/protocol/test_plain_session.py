@@ -3,6 +3,7 @@
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.link_evidence import JUDGED_S, LinkEvidence, Tally
 from hostlink.core.protocol.session import DeviceSession
+from hostlink.core.runtime.stop_frames import StopFrames
 from hostlink.errors import FrameTooLarge
 from tests.support.fake_device import CATALOG
 from tests.support.text_protocol import TEXT
@@ -27,7 +28,8 @@ def test_session_of_a_plain_protocol_counts_and_refuses_nothing() -> None:
     assert session.too_small(lambda _: 10_000) == []
     assert session.rest_of_frame_bytes([b"POSE 0 0 0\n"]) == 0
     assert not session.is_refused(session.topics[0])
-    assert session.claim_bytes == 0
+    assert session.stop_frames((b"zero",)) == StopFrames((b"zero",), b"BYE\n")
+    assert session.stop_frames((b"zero", b"other")).last_writes == (b"zero", b"other")
 
 
 def test_endpoint_that_is_announced_may_still_be_there_and_no_other() -> None:
@@ -46,7 +48,6 @@ def test_payload_beyond_the_room_of_an_endpoint_is_named_with_both_sizes() -> No
 
 def test_last_message_is_that_of_the_protocol() -> None:
     session = announced()
-    assert session.end_frame == b"BYE\n"
     session.stop()
     frames = []
     while (frame := session.pop_frame(now_s=1.0, wall_ns=0)) is not None:

@@ -48,7 +48,7 @@ def test_payload_beyond_a_buffer_is_named_with_the_sizes_of_whole_frames() -> No
 
 
 def test_zero_is_one_frame_of_the_endpoint() -> None:
-    assert Host(LED).session.zero_frame(LED, b"\0") == encode(LED.id, b"\0")
+    assert Host(LED).session.zero_frames(LED, b"\0") == (encode(LED.id, b"\0"),)
 
 
 def test_datagram_with_a_whole_frame_is_a_greeting() -> None:

@@ -16,6 +16,7 @@ from hostlink.core.protocol.rosserial.negotiation import MAX_PARTS, MAX_SAME_REQ
 from hostlink.core.protocol.rosserial.session import DEFAULT_BUFFER_BYTES, MOST_FRAMES, VERSION_1, Session
 from hostlink.errors import FrameTooLarge, UnknownTopic, WrongType
 from tests.support.device_codec import encode_log, encode_parameter_request
+from tests.support.rosserial_stop import rosserial_stop
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 
 
@@ -389,10 +390,13 @@ def test_changed_topics_reset_robot_moves() -> None:
     session.publish("/text", bytes(500))
 
 
-def test_longest_frame_to_the_device_is_its_largest_buffer() -> None:
-    assert Host().session.claim_bytes == DEFAULT_BUFFER_BYTES
-    host = Host(ODOMETRY, LED)
-    assert host.session.claim_bytes == LED.buffer_bytes
+def test_zeros_are_joined_and_the_longest_frame_before_them_is_as_the_largest_buffer() -> None:
+    zeros = (b"one", b"other")
+    assert Host().session.stop_frames(zeros) == rosserial_stop(zeros, DEFAULT_BUFFER_BYTES)
+    stop = Host(ODOMETRY, LED).session.stop_frames(zeros)
+    assert stop == rosserial_stop(zeros, LED.buffer_bytes)
+    assert (stop.lead, stop.separator, stop.last_writes) == (bytes(3), b"\0", (b"oneother",))
+    assert rosserial_stop(()).last_writes == ()
 
 
 def test_zero_is_sent_to_an_endpoint_unless_its_id_has_another_name_type_and_md5_sum() -> None:

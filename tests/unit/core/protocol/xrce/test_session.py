@@ -854,27 +854,71 @@ def test_endpoint_without_responses_is_refused() -> None:
         here.session.response_endpoint(velocity)
 
 
+def test_board_that_is_created_again_gets_no_number_of_its_session_before() -> None:
+    """A client that gets one counts through thousands of numbers, and forgets its own."""
+    here = connected()
+    for _ in range(20):
+        here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "x"})))
+    here.client = Client(key=KEY)
+    here.restart_board(here.client, idle())
+    assert here.do(here.client.connect())
+    here.run(here.now_s + 0.2)
+    here.session.send_zero(here.session._known[1], ZERO)
+    here.write()
+    here.do(here.client.listen(0.3))  # the client of the test asserts that each number was sent
+    here.do(creations(here.client))
+
+
+def test_late_creation_of_a_session_that_continues_stops_no_acknowledgement() -> None:
+    here = connected()
+    here._to_host(here.client.creation())  # a datagram that came twice
+    here.link.loss = 1.0
+    here.client.put(sub(board.WRITE, struct.pack(">HH", 9, WRITER) + cdr("std_msgs/String", {"data": "x"})))
+    here.do(here.client.confirm(0.05))
+    here.link.loss = 0.0
+    assert here.do(here.client.confirm(1.0))
+
+
+@pytest.mark.parametrize("key", [KEY, b"\5\6\7\x08"])
+def test_board_that_has_begun_anew_gets_no_velocity_before_it_is_announced(key: bytes) -> None:
+    """The hub knows nothing of the restart yet: the driver's next velocity would move a board that has just booted."""
+    here = connected()
+    velocity = here.session.endpoint_of("/cmd_vel", VELOCITY)
+    here.client = Client(key=key)
+    here.restart_board(here.client, idle())
+    assert here.do(here.client.connect())
+    here.do(creations(here.client))
+    with pytest.raises(UnknownTopic):
+        here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    assert here.session.send_zero(velocity, ZERO)
+    here.write()
+    here.run(here.now_s + 0.05)
+    assert taken(here, READER) == [ZERO]
+    here.run(here.now_s + 2 * QUIET_S)
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+
+
 # -- stopping ---------------------------------------------------------------------------------------------------------
 
 
 def test_zero_frame_is_constant_and_taken_at_any_time() -> None:
     here = connected()
     velocity = here.session.endpoint_of("/cmd_vel", VELOCITY)
-    frame = here.session.zero_frame(velocity, ZERO)
+    (frame,) = here.session.zero_frames(velocity, ZERO)
     assert (len(frame), frame[:4], frame[-48:]) == (60, b"\x81\0\0\0", ZERO)
     here.run(here.now_s + 60.0)
-    assert here.session.zero_frame(velocity, ZERO) == frame
+    assert here.session.zero_frames(velocity, ZERO) == (frame,)
     here._to_board(frame)
     here.do(here.client.listen(0.1))
     assert taken(here, READER) == [ZERO]
-    assert here.session.end_frame == b""
-    assert here.session.claim_bytes == 0
+    stop = here.session.stop_frames((frame, frame))
+    assert (stop.end, stop.claim_bytes, stop.last_writes) == (b"", 0, (frame, frame))
 
 
 def test_zero_frame_of_a_service_calls_it() -> None:
     here = connected()
     led = here.session.service_endpoint("/led", REQUEST)
-    here._to_board(here.session.zero_frame(led, REQUEST))
+    here._to_board(*here.session.zero_frames(led, REQUEST))
     here.do(here.client.listen(0.1))
     assert [each[24:] for each in taken(here, REPLIER)] == [b"\1"]
     assert here.session.send_zero(led, REQUEST)
@@ -886,7 +930,7 @@ def test_zero_frame_of_a_service_calls_it() -> None:
 def test_endpoint_without_a_client_is_sent_nothing() -> None:
     here = connected()
     gone = DeviceEndpoint(EndpointKind.SUBSCRIBER, endpoint_id(3, READER), "/cmd_vel", "geometry_msgs/Twist")
-    assert here.session.zero_frame(gone, ZERO) == b""
+    assert here.session.zero_frames(gone, ZERO) == ()
     assert not here.session.send_zero(gone, ZERO)
     assert here.session.room_bytes(gone) == 0
     other = here.session.endpoint_of("/cmd_vel", VELOCITY)._replace(name="/other", type="a/B")
@@ -978,9 +1022,64 @@ def test_clients_that_refuse_messages_without_a_number_get_velocities_with_one()
         here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
         here.write()
     here.run(here.now_s + 0.5)
-    here._to_board(here.session.zero_frame(here.session.endpoint_of("/cmd_vel", VELOCITY), ZERO))
-    here.run(here.now_s + 0.5)
-    assert taken(here, READER) == [VELOCITY, VELOCITY, VELOCITY, ZERO]
+    assert taken(here, READER) == [VELOCITY, VELOCITY, VELOCITY]
+
+
+@given(st.integers(0, 0xFFFF), st.integers(0, 2))
+def test_zeros_with_a_number_are_taken_after_any_other_number(newest: int, lost: int) -> None:
+    """One of three is taken at any time, also when one of them is lost, and so is one of each repetition."""
+    protocol = Xrce(DatagramFraming, keeps_datagrams=True, velocity_stream=1)
+    here = connected(session=protocol.session(CATALOG))
+    velocity = here.session.endpoint_of("/cmd_vel", VELOCITY)
+    zeros = here.session.zero_frames(velocity, ZERO)
+    here.client.last_best_effort = newest
+    for turn in range(3):
+        for number, zero in enumerate(zeros):
+            if turn or number != lost:
+                here._to_board(zero)
+        here.do(here.client.listen(0.01))
+        here.do(here.client.listen(0.01))
+        here.do(here.client.listen(0.01))
+        is_taken = len(taken(here, READER)) > 0
+        assert is_taken or turn == 0
+        here.client.taken.clear()
+
+
+@pytest.mark.parametrize("stream", [0x80, 0x01])
+@pytest.mark.parametrize("way", ["drop", "urgent", "zero"])
+def test_message_that_waits_or_was_lost_does_not_follow_a_zero(stream: int, way: str) -> None:
+    """Six messages: of a reliable reader four are on their way and lost, and two wait for the acknowledgement."""
+    here = connected(stream=stream)
+    here.link.loss = 1.0
+    for number in range(6):
+        here.session.publish("/cmd_vel", TWIST.pack(0.1 * number, 0, 0, 0, 0, 0.5), depth=10)
+        if number < 5:
+            here.write()
+    endpoint = here.session.endpoint_of("/cmd_vel", VELOCITY)
+    if way == "drop":
+        here.session.drop_commands(endpoint)
+    elif way == "urgent":
+        here.session.publish("/cmd_vel", ZERO, is_urgent=True)
+    else:
+        assert here.session.send_zero(endpoint, ZERO)
+    here.link.loss = 0.0
+    here.write()
+    here.run(here.now_s + 2.0)
+    assert set(taken(here, READER)) == (set() if way == "drop" else {ZERO})
+    here.session.publish("/words", b"\5\0\0\0after")
+    here.write()
+    here.run(here.now_s + 1.0)
+    assert len(taken(here, 0x16)) == 1  # the reliable stream continues
+
+
+def test_message_that_waits_for_the_line_does_not_follow_a_zero() -> None:
+    here = connected(session=made(uart_bytes_s=3840))
+    here.session.publish("/words", b"\7\0\0\0earlier")
+    here.session.publish("/cmd_vel", VELOCITY)
+    here.session.drop_commands(here.session.endpoint_of("/cmd_vel", VELOCITY))
+    here.write()
+    here.run(here.now_s + 2.0)
+    assert (len(taken(here, 0x16)), taken(here, READER)) == (1, [])
 
 
 # -- liveness, damage, captures ---------------------------------------------------------------------------------------
