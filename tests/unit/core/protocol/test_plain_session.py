@@ -49,6 +49,13 @@ def test_payload_beyond_the_room_of_an_endpoint_is_named_with_both_sizes() -> No
     assert str(session.room_bytes(VELOCITY)) in str(error)
 
 
+def test_commands_of_an_endpoint_that_wait_are_dropped() -> None:
+    session = announced()
+    session.publish(VELOCITY.name, bytes(48))
+    session.drop_commands(VELOCITY)
+    assert not session.outbox.has_waiting
+
+
 def test_last_message_is_that_of_the_protocol() -> None:
     session = announced()
     session.stop()
