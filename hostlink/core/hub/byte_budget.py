@@ -21,11 +21,12 @@ SHARES = {
     "operations": 4
     * MIB,  # of clients, not executed yet: over it each client has few, and the rest waits in its socket
     "bodies": 4 * MIB,  # of large requests: over it they are refused (503)
-    "latched": 32 * MIB,  # over it a message is delivered and not kept
+    "latched": 28 * MIB,  # over it a message is delivered and not kept
     "queues": 40 * MIB,  # messages and answers for clients: over it the largest queue loses its oldest telemetry
     "held_back": 8 * MIB,  # by the pace of subscriptions: over it the oldest of the subscription is dropped
     "fragments": 8 * MIB,  # over it the message is dropped
     "calls": 12 * MIB,  # arguments of services that have not answered: over it a call is refused
+    "devices": 4 * MIB,  # unfinished messages and objects in devices' sessions: over it the largest loses them
     "watches": 4 * MIB,  # names that Foxglove's clients watch: over it a watch is refused
 }
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import structlog
 
 from hostlink.core.config import Config
+from hostlink.core.hub.device_bytes import DeviceBytes
 from hostlink.core.hub.diagnostics_topic import DiagnosticsTopic
 from hostlink.core.hub.gates import Guard
 from hostlink.core.hub.graph_changes import GraphKind
@@ -94,6 +95,7 @@ class Hub(Shared):
             self.spawn(self.diagnoses.run(), name="diagnoses")
             self.spawn(self.robots.run(), name="known robots")
             self.spawn(DiagnosticsTopic(self, self.robots, self.join_daemon()).run(), name="diagnostics")
+            self.spawn(DeviceBytes(self.topics.budget["devices"], self.links.memories).run(), name="bytes of devices")
             self.spawn(_log_what_is_missing(), name="log")
             self.is_running.set()
             await self.gates.run()

@@ -163,6 +163,11 @@ class DeviceSession(ABC):
         """Return the bytes with which the device announces these, for the beginning of a capture."""
 
     @property
+    def is_recalled(self) -> bool:
+        """Whether it has a `memory` and `kept_bytes`, at which the hub looks several times a second."""
+        return False
+
+    @property
     def memory_version(self) -> int:
         """Number that changes when `memory` is worth keeping; 0: never yet."""
         return 0
@@ -170,6 +175,14 @@ class DeviceSession(ABC):
     def memory(self) -> str:
         """Return what `DeviceProtocol.resumed` needs to go on later, for a device that announces itself only once."""
         return ""
+
+    @property
+    def kept_bytes(self) -> int:
+        """Bytes from the device that are kept because more must follow, and that it made the host remember."""
+        return 0
+
+    def drop_unfinished(self) -> None:  # noqa: B027 - for protocols that keep some
+        """Forget messages that are not whole."""
 
     def probe(self) -> None:  # noqa: B027 - for protocols that can ask
         """Ask something that a working device answers (TopicsAnswered), at most once a second.

@@ -1,8 +1,8 @@
 """The log: structlog events on stderr, JSON if that is not a terminal. This list of events is a public interface.
 
 Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, link.diagnosed,
-                 connection.refused, serial.waiting, serial.baud_tried, serial.baud_found, serial.protocol_found,
-                 boards.damaged, boards.not_kept
+                 link.too_large, connection.refused, serial.waiting, serial.baud_tried, serial.baud_found,
+                 serial.protocol_found, boards.damaged, boards.not_kept
 Its messages     topics.requested, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
                  parameter.refused, protocol.version_1, participant.crashed
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,

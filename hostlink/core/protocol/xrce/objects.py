@@ -251,6 +251,11 @@ class ObjectTable:
         return [*(one for one in participants if one not in found), *found]
 
     @property
+    def kept_bytes(self) -> int:
+        """Size of all objects as the client described them."""
+        return sum(len(each.payload) for each in self.by_id.values())
+
+    @property
     def has_reliable_writer(self) -> bool:
         """Whether something is published with acknowledgements."""
         return any(each.is_reliable for each in self.by_id.values() if each.kind == ObjectKind.DATAWRITER)

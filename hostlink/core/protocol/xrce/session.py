@@ -369,6 +369,19 @@ class XrceSession(DeviceSession):
                 found += _announce_client(client, of_client)
         return self._framing.joined(found)
 
+    @property
+    def kept_bytes(self) -> int:
+        """Bytes of unfinished messages, and of the objects that the board has created."""
+        clients = self._clients.values()
+        unfinished = sum(stream.kept_bytes for each in clients for stream in each.inputs.values())
+        return unfinished + sum(each.objects.kept_bytes for each in clients)
+
+    def drop_unfinished(self) -> None:
+        """Forget messages that are not whole."""
+        for client in self._clients.values():
+            for stream in client.inputs.values():
+                stream.drop_unfinished()
+
     def probe(self) -> None:
         """Ask something that a working board answers (TopicsAnswered), at most once a second."""
         now_s = self._now_s
@@ -1105,6 +1118,11 @@ class XrceSession(DeviceSession):
         return head + join_submessages(*parts, data)
 
     # -- going on after a restart of the host -------------------------------------------------------------------------
+
+    @property
+    def is_recalled(self) -> bool:
+        """Whether it has a `memory` and `kept_bytes`: always."""
+        return True
 
     @property
     def memory_version(self) -> int:

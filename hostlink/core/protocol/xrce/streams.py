@@ -31,6 +31,11 @@ class FragmentBuffer:
         self._size_bytes = 0
         self._is_dropped = False
 
+    @property
+    def size_bytes(self) -> int:
+        """Size of the fragments so far."""
+        return self._size_bytes
+
     def skip_message(self) -> None:
         """Drop fragments up to the last one of a message, whose beginning is not known."""
         self._parts.clear()
@@ -176,6 +181,18 @@ class ReliableInput:
         self.next = number_after(self.next)
         self.fragments.skip_message()
         return self._in_order()
+
+    @property
+    def kept_bytes(self) -> int:
+        """Size of fragments, and of what waits for messages before it."""
+        return self._held_bytes + self.fragments.size_bytes
+
+    def drop_unfinished(self) -> None:
+        """Drop them. The client sends again what was not acknowledged."""
+        self._held.clear()
+        self._held_bytes = 0
+        if self.fragments.size_bytes:
+            self.fragments.skip_message()
 
     def missing(self) -> int:
         """Return the bitmap of the numbers from `next` on that are known to be missing."""
