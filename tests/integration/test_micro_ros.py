@@ -22,6 +22,7 @@ from hostlink.core.runtime.capture_file import load_reads
 from hostlink.core.transport.udp import CREDIT_BYTES
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import robot_topics
+from tests.support.process import free_port
 from tests.support.pty_pair import pty_pair
 from tests.support.waiting import expect
 from tests.support.xrce_device import Device, serial_board, stock, tcp_board, udp_board
@@ -196,3 +197,26 @@ async def pinged(address: tuple[str, int]) -> bool:
             async with asyncio.timeout(0.5):
                 return b"\x06\x01" in await asyncio.get_running_loop().sock_recv(connection, 100)
     return False
+
+
+async def test_stranger_at_the_address_of_a_remembered_board_gets_no_robot() -> None:
+    port = free_port()
+    async with daemon(CONFIG) as host:
+        address = address_of(host, "udp")
+        async with udp_board(address, local_port=port) as device:
+            await device.is_at_work()
+            memories = host.hub.links.memories
+            await expect(lambda: memories.texts)
+        await expect(lambda: not host.hub.links.all())
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
+            connection.bind(("127.0.0.1", port))
+            for data in (b"hello", bytes.fromhex("81010000 07010800 0015 0007 00000000"), bytes(40)):
+                connection.sendto(data, address)
+            await expect(
+                lambda: [each.session.counts.bytes_from_device >= 61 for each in host.hub.links.all()] == [True]
+            )
+            await asyncio.sleep(0.2)
+            assert not [each for each in host.hub.robots.here() if each.link is not None]
+        async with udp_board(address, stock(key=b"anew"), local_port=port) as device:
+            await device.is_at_work()
+            await expect(lambda: protocols_of_robots(host) == ["micro-ROS"])

@@ -109,7 +109,8 @@ class DatagramFraming(Framing):
 
     def joined(self, messages: Iterable[bytes]) -> bytes:
         """Return the messages with their lengths, because nothing else divides them: CapturedDatagramFraming."""
-        return JOINED + b"".join(len(each).to_bytes(_LENGTH_BYTES, "little") + each for each in messages) + bytes(2)
+        parts = b"".join(len(each).to_bytes(_LENGTH_BYTES, "little") + each for each in messages)
+        return JOINED + parts + bytes(_LENGTH_BYTES) if parts else b""
 
     def rest_bytes(self, pieces: Iterable[bytes]) -> int:
         return len(next(iter(pieces), b""))  # it may be the end of a datagram

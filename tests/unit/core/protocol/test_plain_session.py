@@ -46,6 +46,17 @@ def test_payload_beyond_the_room_of_an_endpoint_is_named_with_both_sizes() -> No
     assert str(session.room_bytes(VELOCITY)) in str(error)
 
 
+def test_commands_of_an_endpoint_that_wait_are_dropped() -> None:
+    session = announced()
+    (velocity,) = [each for each in session.topics if each.is_to_device]
+    session.outbox.put_command(velocity.id, b"VEL 1 0\n")
+    session.drop_commands(velocity)
+    frames = []
+    while (frame := session.pop_frame(now_s=1.0, wall_ns=0)) is not None:
+        frames.append(frame.frame)
+    assert b"VEL 1 0\n" not in frames
+
+
 def test_last_message_is_that_of_the_protocol() -> None:
     session = announced()
     session.stop()

@@ -128,7 +128,7 @@ def test_escape_at_the_end_of_a_read_belongs_to_the_next(piece: bytes) -> None:
     assert fed(framing, framing.encode(MESSAGE))[0] == [MESSAGE]
 
 
-@given(st.lists(st.binary(min_size=4, max_size=300), max_size=5), st.binary(min_size=1, max_size=100))
+@given(st.lists(st.binary(min_size=4, max_size=300), min_size=1, max_size=5), st.binary(min_size=1, max_size=100))
 def test_messages_before_a_captured_datagram_are_read_one_by_one(messages: list[bytes], datagram: bytes) -> None:
     joined = DatagramFraming().joined(messages)
     assert CapturedDatagramFraming().feed(joined) == messages

@@ -931,6 +931,7 @@ def test_endpoint_without_a_client_is_sent_nothing() -> None:
     here = connected()
     gone = DeviceEndpoint(EndpointKind.SUBSCRIBER, endpoint_id(3, READER), "/cmd_vel", "geometry_msgs/Twist")
     assert here.session.zero_frames(gone, ZERO) == ()
+    here.session.drop_commands(gone)
     assert not here.session.send_zero(gone, ZERO)
     assert here.session.room_bytes(gone) == 0
     other = here.session.endpoint_of("/cmd_vel", VELOCITY)._replace(name="/other", type="a/B")
@@ -1192,10 +1193,10 @@ def test_capture_begins_with_messages_that_announce_the_endpoints() -> None:
     here = connected()
     here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "a"})))
     topics = here.session.topics
-    for protocol in (MICRO_ROS_TCP, MICRO_ROS_SERIAL):
+    for protocol in (MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL):
         framing = protocol.session(CATALOG)
         framing._clients = here.session._clients
-        replayed = protocol.session(CATALOG)
+        replayed = Xrce.on(framing.captured_as.rpartition("/")[2]).session(CATALOG)
         replayed.receive(framing.announcement(topics), now_s=0.0)
         (negotiated,) = [each for each in replayed.tick(now_s=1.0) if isinstance(each, events.TopicsNegotiated)]
         assert set(negotiated.topics) == set(topics)
