@@ -479,7 +479,9 @@ class World:
         self._daemon = self.loop.create_task(replace(), name="daemon")
 
 
-OWN_TASKS = frozenset({"daemon", "hub", "programs", "diagnoses", "known robots", "diagnostics", "log", "end", "world"})
+OWN_TASKS = frozenset(
+    {"daemon", "hub", "programs", "diagnoses", "known robots", "diagnostics", "bytes of devices", "log", "end", "world"}
+)
 
 
 @contextlib.contextmanager

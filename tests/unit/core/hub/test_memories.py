@@ -1,4 +1,4 @@
-"""What is remembered of devices: by place, and of a bounded number."""
+"""Memories of devices: by place, and of a bounded number."""
 
 from hostlink.core.config import Config
 from hostlink.core.hub.memories import MOST, MOST_CHARS, Memories
