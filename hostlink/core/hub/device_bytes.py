@@ -4,12 +4,11 @@ A session has limits of its own. Hundreds of connections that each keep as much 
 """
 
 import asyncio
-from collections.abc import Callable, Iterable
 
 import structlog
 
 from hostlink.core.hub.byte_budget import Share
-from hostlink.core.link.link import Link
+from hostlink.core.hub.memories import Memories
 from hostlink.core.link.serving import LinkEnd
 from hostlink.core.runtime.logs import printable
 
@@ -21,18 +20,22 @@ LOOK_S = 0.5
 class DeviceBytes:
     """Over the limit, the device that keeps most loses its unfinished messages, and its link if that is too little."""
 
-    def __init__(self, share: Share, links: Callable[[], Iterable[Link]]) -> None:
-        self._share, self._links = share, links
+    def __init__(self, share: Share, memories: Memories) -> None:
+        """`memories` has the links whose sessions keep something."""
+        self._share, self._memories = share, memories
 
     async def run(self) -> None:
         """Look at all sessions, repeatedly, until cancelled."""
         while True:
+            await self._memories.has_links.wait()
+            while self._memories.links:
+                self.look()
+                await asyncio.sleep(LOOK_S)
             self.look()
-            await asyncio.sleep(LOOK_S)
 
     def look(self) -> None:
         """Count the bytes of all sessions, and make room while they are too many."""
-        kept = {link: count for link in self._links() if (count := link.session.kept_bytes)}
+        kept = {link: count for link in self._memories.links.values() if (count := link.session.kept_bytes)}
         self._share.held_bytes = sum(kept.values())
         while self._share.is_over:
             link = max(kept, key=kept.__getitem__)

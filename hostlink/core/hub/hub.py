@@ -95,7 +95,7 @@ class Hub(Shared):
             self.spawn(self.diagnoses.run(), name="diagnoses")
             self.spawn(self.robots.run(), name="known robots")
             self.spawn(DiagnosticsTopic(self, self.robots, self.join_daemon()).run(), name="diagnostics")
-            self.spawn(DeviceBytes(self.topics.budget["devices"], self.links.all).run(), name="bytes of devices")
+            self.spawn(DeviceBytes(self.topics.budget["devices"], self.links.memories).run(), name="bytes of devices")
             self.spawn(_log_what_is_missing(), name="log")
             self.is_running.set()
             await self.gates.run()

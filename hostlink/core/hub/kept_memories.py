@@ -24,7 +24,8 @@ async def kept_memories(links: Links, file: KeptFile[Texts] | None) -> AsyncIter
 
     async def note() -> None:
         while True:
-            links.memories.note(links.all())
+            await links.memories.has_links.wait()
+            links.memories.note()
             await asyncio.sleep(NOTE_S)
 
     async with meanwhile(("memories", note())):

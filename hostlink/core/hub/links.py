@@ -132,6 +132,8 @@ class Links:
             self._suggest,
         )
         self._capture_room.divide(len(self._devices))
+        if session.is_recalled:
+            self.memories.join(link)
         return link
 
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:

@@ -3,7 +3,8 @@
 A device that never announces itself again would otherwise be deaf for ever: micro-ROS boards without code to reconnect.
 """
 
-from collections.abc import Callable, Iterable
+import asyncio
+from collections.abc import Callable
 
 from hostlink.core.link.link import Link
 from hostlink.core.protocol.session import DeviceProtocol
@@ -21,6 +22,8 @@ class Memories:
     def __init__(self) -> None:
         self.on_change: Callable[[], None] = lambda: None
         self.texts: Texts = {}  # the one that changed last is the last
+        self.links: dict[int, Link] = {}  # of devices that may be remembered
+        self.has_links = asyncio.Event()
         self._versions: dict[int, int] = {}  # of each link, as noted
 
     def restore(self, texts: Texts) -> None:
@@ -45,19 +48,30 @@ class Memories:
         if self.texts.pop(_key(protocol.name, kind, peer, address), None) is not None:
             self.on_change()
 
-    def note(self, links: Iterable[Link]) -> None:
-        """Note what has changed in the sessions of these links."""
-        for link in links:
-            session = link.session
-            version = session.memory_version
-            if version != self._versions.get(link.number, 0) and link.kind != TCP:
-                self._versions[link.number] = version
-                self._put(_key(session.protocol, link.kind, link.peer, link.address), session.memory())
+    def join(self, link: Link) -> None:
+        """Look at this link from now on."""
+        self.links[link.number] = link
+        self.has_links.set()
+
+    def note(self) -> None:
+        """Note what has changed in the sessions of all links."""
+        for link in self.links.values():
+            self._note(link)
 
     def leave(self, link: Link) -> None:
         """Note the last memory of a link that has ended."""
-        self.note((link,))
-        self._versions.pop(link.number, None)
+        if self.links.pop(link.number, None) is not None:
+            self._note(link)
+            self._versions.pop(link.number, None)
+            if not self.links:
+                self.has_links.clear()
+
+    def _note(self, link: Link) -> None:
+        session = link.session
+        version = session.memory_version
+        if version != self._versions.get(link.number, 0) and link.kind != TCP:
+            self._versions[link.number] = version
+            self._put(_key(session.protocol, link.kind, link.peer, link.address), session.memory())
 
     def _put(self, key: str, text: str) -> None:
         before = self.texts.pop(key, "")

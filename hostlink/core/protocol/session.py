@@ -166,6 +166,11 @@ class DeviceSession(ABC):
         """Return the bytes with which the device announces these, for the beginning of a capture."""
 
     @property
+    def is_recalled(self) -> bool:
+        """Whether it has a `memory` and `kept_bytes`, at which the hub looks several times a second."""
+        return False
+
+    @property
     def memory_version(self) -> int:
         """Number that changes when `memory` is worth keeping; 0: never yet."""
         return 0

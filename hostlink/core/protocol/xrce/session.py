@@ -1189,6 +1189,11 @@ class XrceSession(DeviceSession):
     # -- going on after a restart of the host -------------------------------------------------------------------------
 
     @property
+    def is_recalled(self) -> bool:
+        """Whether it has a `memory` and `kept_bytes`: always."""
+        return True
+
+    @property
     def memory_version(self) -> int:
         """Number that changes when `memory` is worth keeping: with the objects, and while numbers pass."""
         if not self.state_version:

@@ -7,6 +7,7 @@ from structlog.testing import capture_logs
 from hostlink.core.config import Config
 from hostlink.core.hub.byte_budget import Share
 from hostlink.core.hub.device_bytes import DeviceBytes
+from hostlink.core.hub.memories import Memories
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import LinkEnd
 from hostlink.core.messages.catalog import Catalog
@@ -34,13 +35,20 @@ def link_of(number: int, *, fragments: int = 0, objects: int = 0) -> Link:
     return Link(memory_pair()[0], session, Config().link, number=number, on_event=lambda _link, _event: None)
 
 
+def memories_of(*links: Link) -> Memories:
+    memories = Memories()
+    for link in links:
+        memories.join(link)
+    return memories
+
+
 @virtual
 async def test_device_that_keeps_most_loses_its_unfinished_messages_first() -> None:
     small, large = link_of(1, fragments=10), link_of(2, fragments=200)
     assert isinstance(large.session, XrceSession)
     kept = small.session.kept_bytes
     share = Share(50_000)
-    DeviceBytes(share, lambda: [small, large]).look()
+    DeviceBytes(share, memories_of(small, large)).look()
     assert large.session.kept_bytes == 0
     assert small.session.kept_bytes == share.held_bytes == kept >= 10_000
     assert (small._end, large._end) == (None, None)
@@ -52,7 +60,7 @@ async def test_device_whose_objects_alone_are_too_large_loses_its_link() -> None
     small, large = link_of(1, objects=2), link_of(2, objects=500)
     share = Share(50_000)
     with capture_logs() as lines:
-        DeviceBytes(share, lambda: [small, large]).look()
+        DeviceBytes(share, memories_of(small, large)).look()
     assert (small._end, large._end) == (None, LinkEnd.EVICTED)
     assert [line["event"] for line in lines] == ["link.too_large"]
     assert 0 < share.held_bytes <= share.max_bytes
