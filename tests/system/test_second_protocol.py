@@ -113,7 +113,10 @@ async def test_guardian_stops_a_robot_of_another_protocol(tmp_path: Path, instal
 
 @pytest.mark.parametrize(
     ("name", "reason"),
-    [("morse", "no installed package has this protocol; known: broken, micro-ros, rosserial, text"), ("broken", "no_such_module")],
+    [
+        ("morse", "no installed package has this protocol; known: broken, micro-ros, rosserial, text"),
+        ("broken", "no_such_module"),
+    ],
 )
 async def test_protocol_that_cannot_be_used_is_refused_at_the_start(
     tmp_path: Path, installed: dict[str, str], name: str, reason: str
