@@ -32,7 +32,7 @@ LEASE_S = 0.5
 BEAT_S = 0.1  # within which the daemon notices that its loop was late
 UNORDERED_S = 0.1  # between two arrivals whose order is not known
 HANG_S = 1.0  # after which the guardian stops the robots of a daemon that hangs
-STILL_M_S = 0.005  # slower is the noise of a robot at rest
+STILL_M_S, STILL_RAD_S = 0.01, 0.04  # slower may be called at rest: poses tell a speed later than the robot has it
 PACED_S = 0.1  # a velocity waits for a UART of 3840 bytes a second, with what the device asked for
 TURNS = 30  # of the loop, that something may take: with many links, work is done in turns
 
@@ -347,7 +347,7 @@ def answers(history: History) -> list[tuple[float, str]]:
     for record in history.records:
         match record:
             case Obeyed():
-                is_moving = abs(record.linear_m_s) > STILL_M_S or bool(record.angular_rad_s)
+                is_moving = abs(record.linear_m_s) > STILL_M_S or abs(record.angular_rad_s) > STILL_RAD_S
                 moves[record.robot].append((record.at_s, is_moving))
             case Answered(state="stopped"):
                 known = moves[record.robot]
