@@ -121,7 +121,7 @@ def test_board_with_a_bad_radio_ends_at_zero(after_s: float, seed: int, stream: 
     drive = Drive(Link(Random(seed)), BY_STREAM[stream])
     link = drive.world.link
     link.loss, link.doubles, link.overtakes = 0.2, 0.05, 0.05
-    assert killed(drive, 0.5 + after_s) < 3.2  # three publishes fail
+    assert killed(drive, 0.5 + after_s) < 4.2  # four publishes fail, each after a second: one of a thousand worlds
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ CATALOG = Catalog()
 
 def test_session_of_a_device_that_announces_itself_again_has_no_memory() -> None:
     session = ROSSERIAL.session(CATALOG)
-    assert (session.memory_version, session.memory()) == (0, "")
+    assert (session.memory_version, session.memory(), session.is_recalled, session.kept_bytes) == (0, "", False, 0)
     assert ROSSERIAL.resumed(CATALOG, "anything").protocol == session.protocol
 
 

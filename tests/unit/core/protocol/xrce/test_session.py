@@ -1450,3 +1450,21 @@ def test_any_bytes_in_any_state_raise_nothing_and_a_new_client_recovers(
     fresh.write()
     fresh.run(fresh.now_s + 0.1)
     assert VELOCITY in taken(fresh, READER)
+
+
+def test_unfinished_messages_are_counted_and_can_be_dropped() -> None:
+    here = connected()
+    assert here.session.is_recalled
+    before = here.session.kept_bytes
+    assert before > 0  # its objects
+    stream = here.session._clients[0x81, b""].inputs[0x80]
+    first = sub(board.FRAGMENT, bytes(400))
+    number = stream.next
+    here._to_host(b"\x81\x80" + number.to_bytes(2, "little") + first)
+    assert here.session.kept_bytes == before + 400
+    here._to_host(b"\x81\x80" + (number + 3).to_bytes(2, "little") + first)  # waits for two before it
+    assert here.session.kept_bytes > before + 800
+    here.session.drop_unfinished()
+    assert here.session.kept_bytes == before
+    here.session.drop_unfinished()
+    assert here.session.kept_bytes == before
