@@ -6,6 +6,7 @@ import random
 import socket
 import struct
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -419,6 +420,15 @@ async def test_a_port_in_use_is_named_and_no_second_host_shares_it() -> None:
                 UdpConfig(host="127.0.0.1", port=host.udp[1]), host.hub.counts.datagrams_dropped, lambda _port, _: False
             ):
                 raise AssertionError("two hosts on one port")
+
+
+async def test_a_port_that_the_guardian_of_a_killed_daemon_has_for_a_moment_is_waited_for() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
+        held.bind(("127.0.0.1", 0))
+        config = UdpConfig(host="127.0.0.1", port=held.getsockname()[1])
+        asyncio.get_running_loop().call_later(0.3, held.close)
+        async with serve_udp(config, Counter(), lambda _port, _: False) as ports:
+            assert ports[0].address[1] == config.port
 
 
 async def test_a_device_over_ipv6_is_served() -> None:

@@ -185,6 +185,7 @@ async def test_without_a_robot_a_daemon_on_all_addresses_names_its_port_and_seri
         listening = {
             "tcp": {"host": "0.0.0.0", "port": 11412},
             "udp": {"host": "10.0.0.7", "port": 11500},
+            "micro_ros": [],
             "serial": [{"port": "/dev/ttyACM0", "bauds": [57600, 115200]}],
             "simulate": "hostlink sim --connect 127.0.0.1:11412",
             "address": "192.168.1.20",

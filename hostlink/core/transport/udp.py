@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from hostlink.core.config import UdpConfig
 from hostlink.core.runtime.listening import bind_all, spelled
+from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.core.transport.base import READ_BYTES
 from hostlink.core.transport.connection import ignore
 from hostlink.core.transport.tcp import explain
@@ -24,6 +25,8 @@ from hostlink.errors import ConfigError
 # -- allowance --------------------------------------------------------------------------------------------------------
 
 HEADER_BYTES = 28  # IPv4 and UDP header of each datagram
+FREE_S = 1.5  # the guardian of a daemon that was killed has its port for half a second, to stop the robots
+RETRY_S = 0.05
 
 
 class Allowance:
@@ -180,7 +183,7 @@ async def serve_udp(
             found = await asyncio.get_running_loop().getaddrinfo(
                 config.host, config.port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
             )
-            bound = bind_all(config.host, config.port, found, _bind)
+            bound = await _bind_soon(config, found)
             ports += [UdpPort(each, dropped, on_datagram) for each in bound]
         except UnicodeError as error:
             raise ConfigError(f"UDP {spelled(config.host, config.port)}", "is not a valid host name") from error
@@ -190,6 +193,22 @@ async def serve_udp(
     finally:
         for port in ports:
             port.close()
+
+
+async def _bind_soon(config: UdpConfig, found: Sequence[tuple[Any, ...]]) -> list[socket.socket]:
+    """Bind as soon as the port is free, within FREE_S.
+
+    Raises:
+        OSError: it is not free until then.
+    """
+    until_s = loop_time_s() + FREE_S
+    while True:
+        try:
+            return bind_all(config.host, config.port, found, _bind)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE or loop_time_s() >= until_s:
+                raise
+        await asyncio.sleep(RETRY_S)
 
 
 def _bind(family: int, _protocol: int, address: Address) -> socket.socket:
