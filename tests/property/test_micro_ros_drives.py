@@ -184,7 +184,7 @@ def test_board_stands_after_each_event_beside_a_flood(event: Callable[[Scene], A
 
 
 @pytest.mark.long
-@settings(max_examples=max(settings.default.max_examples // 4, 5), deadline=None)  # each plays half a minute
+@settings(max_examples=max(settings.default.max_examples // 20, 3), deadline=None)  # each plays half a minute
 @given(
     st.lists(st.sampled_from(EVENTS), min_size=1, max_size=5),
     st.integers(0, 10_000),

@@ -286,10 +286,15 @@ def streams(history: History) -> list[tuple[float, str]]:
     lines: Counter[str] = Counter()  # of each robot so far
     gaps: Counter[tuple[str, int]] = Counter()
     is_clean = {opened.robot: opened.is_clean for opened in history.opened.values()}
+    has_appeared: set[str] = set()  # since its connection was opened: a board may announce itself again on it
     for record in history.records:
         match record:
             case Opened():
                 lines[record.robot] += 1
+                has_appeared.discard(record.robot)
+            case Appeared():
+                lines[record.robot] += record.robot in has_appeared
+                has_appeared.add(record.robot)
             case Counted() if not record.stream.startswith("text") and is_clean[_robot_in(record.stream)]:
                 before = newest.get((record.stream, record.connection))
                 newest[record.stream, record.connection] = record
@@ -299,7 +304,7 @@ def streams(history: History) -> list[tuple[float, str]]:
                 if record.number <= before.number:
                     broken.append((record.at_s, text))
                 elif record.stream.startswith("hub"):
-                    gaps[record.stream, record.connection] += 1  # one when the board connects again
+                    gaps[record.stream, record.connection] += 1  # one when the board connects or announces again
                     if gaps[record.stream, record.connection] >= lines[_robot_in(record.stream)]:
                         broken.append((record.at_s, f"{text} on an intact connection"))
     return broken + _texts(history, is_clean)
