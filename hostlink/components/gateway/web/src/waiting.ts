@@ -129,8 +129,9 @@ function boards({ tcp, micro_ros, serial, simulate, address }: Listening): HTMLE
     ["Arduino over USB", arduino],
     ["ESP8266, ESP32 over WiFi", wifi(tcp, address)],
     ["STM32 or another UART", uart],
-    ["A micro-ROS board", microRos((micro_ros ?? []).map(parsed)[0], address)],
   ];
+  const port = (micro_ros ?? []).map(parsed)[0];
+  if (port !== undefined) rows.push(["A micro-ROS board", microRos(port, address)]);
   if (simulate !== null) rows.push(["No board: a simulated robot", ["on hostlink's computer, ", code(simulate)]]);
   const terms = rows.flatMap(([name, what]) => [make("dt", {}, name), make("dd", {}, ...what)]);
   return make("div", { class: "boards" }, make("h3", {}, "What to set on the board"), make("dl", {}, ...terms));
@@ -146,9 +147,8 @@ function parsed(text: string): MicroRosAddress {
   return { way: way.toUpperCase(), host, port: Number(port) };
 }
 
-function microRos(port: MicroRosAddress | undefined, own: string | null | undefined): (Node | string)[] {
+function microRos(port: MicroRosAddress, own: string | null | undefined): (Node | string)[] {
   const serve = code(`hostlink serve --micro-ros ${MICRO_ROS}`);
-  if (port === undefined) return ["start ", serve, "; on the board, set hostlink's computer as its agent"];
   if (LOOPBACK.test(port.host)) return ["hostlink listens for it on this computer only: start ", serve];
   const host = reached(port.host, own);
   if (host === null) return ["hostlink's computer is in no network; the port is ", code(String(port.port))];
