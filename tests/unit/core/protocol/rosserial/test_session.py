@@ -248,12 +248,13 @@ def test_refused_topic_leaves_no_cycle_for_the_garbage_collector() -> None:
     wrong = wire(LED._replace(md5="wrong")) + TIME
     host = Host(ODOMETRY)
     host.receive(wrong)
-    gc.collect()
+    for _ in range(5):  # what other tests have left, and what its finalizers leave
+        gc.collect()
     gc.disable()
     try:
-        for _ in range(50):
+        for _ in range(500):
             host.receive(wrong, after_s=1.0)
-        assert gc.collect() < 50
+        assert gc.collect() < 500  # other threads of the test run may leave some
     finally:
         gc.enable()
 
