@@ -34,11 +34,7 @@ class RobotProvider(ABC):
     """
 
     @abstractmethod
-    def drive(
-        self,
-        robot: ProvidedRobot,
-        command: Command[PlanarVelocity],
-    ) -> None:
+    def drive(self, robot: ProvidedRobot, command: Command[PlanarVelocity]) -> None:
         """Send a command, which lasts for a lease from its `received_s` on. Its `epoch` is that of the robot's host.
 
         Raises:
@@ -101,11 +97,7 @@ class Provision:
         self._provider, self._on_failure = provider, on_failure
         self._failure = ""
 
-    def drive(
-        self,
-        robot: ProvidedRobot,
-        command: Command[PlanarVelocity],
-    ) -> None:
+    def drive(self, robot: ProvidedRobot, command: Command[PlanarVelocity]) -> None:
         """Send a command; as `RobotProvider.drive`.
 
         Raises:

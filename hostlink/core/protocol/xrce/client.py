@@ -123,15 +123,12 @@ class Zero:
             self.left, self.pause_s = REPEATS_AFTER, max(REPEAT_S, pause_s)
             self.due_s = now_s + self.pause_s
 
-    def repeat(self, now_s: float) -> bool:
-        """Plan the next one. Return whether it is repeated now, for which it must be due."""
-        if self.left is None:
-            self.due_s = now_s + self.pause_s  # or later, when it is sent
-            return now_s < self.until_s
-        self.left -= 1
-        self.pause_s *= REPEAT_GROWTH
+    def note_repeated(self, now_s: float) -> None:
+        """Plan the next one: later when it is sent, if it was not answered."""
+        if self.left is not None:
+            self.left -= 1
+            self.pause_s *= REPEAT_GROWTH
         self.due_s = now_s + self.pause_s
-        return True
 
     def is_over(self, now_s: float) -> bool:
         """Whether it is repeated no more."""
@@ -170,7 +167,6 @@ class XrceClient:
         self.created_s = self.heard_s = now_s
         self.round_trip_s = FIRST_ROUND_TRIP_S
         self.least_round_trip_s = float("inf")
-        self.slowest_round_trip_s = 0.0
         self.slow_round_trip_s = 0.0  # slowest of the last ones
         self.round_trips = 0
         self.acknacks = 0
@@ -293,7 +289,6 @@ class XrceClient:
     def _note_round_trip(self, taken_s: float) -> None:
         self.round_trips += 1
         self.least_round_trip_s = min(self.least_round_trip_s, taken_s)
-        self.slowest_round_trip_s = max(self.slowest_round_trip_s, taken_s)
         self.slow_round_trip_s = max(SLOWEST_DECAY * self.slow_round_trip_s, taken_s)
         smoothed = taken_s if self.round_trips == 1 else self.round_trip_s + SMOOTHING * (taken_s - self.round_trip_s)
         self.round_trip_s = min(smoothed, ROUND_TRIP_MAX_S)

@@ -1153,7 +1153,8 @@ class XrceSession(DeviceSession):
         for each, zero in list(client.zeros.items()):
             if zero.is_over(now_s):
                 del client.zeros[each]
-            elif now_s >= zero.due_s and zero.repeat(now_s):
+            elif now_s >= zero.due_s:
+                zero.note_repeated(now_s)
                 self.outbox.put_urgent(each, zero.message)
 
     def _encode(self, message: bytes) -> bytes:
