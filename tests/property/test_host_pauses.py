@@ -211,6 +211,8 @@ BESIDE = {"damaged": {"boot_noise"}}  # damage at the beginning of a link looks 
 @pytest.mark.parametrize("code", SICK)
 @fewer_examples(5)
 @given(disturbed=disturbances)
+@example([Pause(1.5, 10.0)])
+@example([Pause(1.5, 1.0), Pause(7.0, 10.0)])
 def test_sick_device_is_found_after_the_host_has_recovered(code: str, disturbed: list[Pause | Restart]) -> None:
     findings = Findings()
     run_virtual(live(Device(**SICK[code]), disturbed, findings, then_s=FINDABLE_S))  # type: ignore[arg-type]

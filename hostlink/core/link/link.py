@@ -293,7 +293,8 @@ class Link:
 
     def _read(self) -> None:
         """Read one piece, so that others have their turn between two pieces."""
-        now_s = self.received_at_s = self._now_s()
+        now_s, last_s = self._now_s(), self.received_at_s
+        self.received_at_s = now_s
         session, reader = self.session, self._reader
         self.came_s = reader.came_s
         data = reader.rest or self._transport.read(self._piece.size_bytes)
@@ -302,7 +303,8 @@ class Link:
             data, reader.rest = data[:FIRST_BYTES], data[FIRST_BYTES:]
         self._from_device.add(data, now_s)
         was_steady = session.is_steady
-        found = session.receive(data, now_s=now_s)
+        paused_s = 0.0 if was_steady else now_s - last_s - self._pauses(now_s).awake_s(last_s, now_s)
+        found = session.receive(data, now_s=now_s, paused_s=paused_s)
         if found and (session.outbox.answers or session.outbox.is_time_due):  # some devices wait for 10 ms only
             self._pauses(now_s)
             self._write_frames(now_s)

@@ -56,8 +56,8 @@ class DeviceSession(ABC):
         """Begin a new connection."""
 
     @abstractmethod
-    def receive(self, data: bytes, *, now_s: float) -> list[Event]:
-        """Process bytes from the device."""
+    def receive(self, data: bytes, *, now_s: float, paused_s: float = 0.0) -> list[Event]:
+        """Process bytes from the device. The host itself did not run for `paused_s` since the last bytes."""
 
     @abstractmethod
     def tick(self, *, now_s: float) -> list[Event]:

@@ -81,3 +81,15 @@ def test_whole_frame_inside_half_a_frame_is_received_at_once() -> None:
     message = encode(125, bytes(24))
     host.receive(message[:20])
     assert host.receive(message + message) == [events.MessageReceived(ODOMETRY, bytes(24))] * 2
+
+
+@pytest.mark.parametrize(("paused_s", "silence_s"), [(9.9, 5.0), (0.0, 12.0)])
+def test_pause_of_the_host_inside_a_frame_does_not_count_as_a_slow_turn(paused_s: float, silence_s: float) -> None:
+    host = Host(ODOMETRY)
+    host.receive(TIME[:5])
+    host.now_s += 10.0
+    host.session.receive(TIME[5:], now_s=host.now_s, paused_s=paused_s)
+    host.wait(silence_s - 0.1)
+    assert all(frame.topic_id != Id.PUBLISHER for frame in host.sent())
+    host.wait(0.2)
+    assert any(frame.topic_id == Id.PUBLISHER for frame in host.sent())
