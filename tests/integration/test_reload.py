@@ -16,6 +16,7 @@ from hostlink.core.robot.velocity import ZERO
 from hostlink.errors import ConfigError, HostlinkError
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
+from tests.support.logs import logged
 from tests.support.rosbridge import Client
 from tests.support.waiting import expect
 
@@ -196,7 +197,7 @@ async def test_other_settings_need_a_restart_and_are_named() -> None:
             _, answer = await reload(host)
         assert answer["changed"] == ["robots.robot_0.max_linear_m_s"]
         assert answer["needs_restart"] == ["tcp.max_connections", "serial", "robots.robot_0.publish_tf"]
-        assert [line["event"] for line in lines] == ["config.reloaded"]
+        assert logged(lines) == ["config.reloaded"]
         assert (await reload(host))[1]["changed"] == []
 
 

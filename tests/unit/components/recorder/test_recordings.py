@@ -27,6 +27,7 @@ from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic
 from tests.support.fake_device import CATALOG
 from tests.support.hosts import host_of, recordings_of
+from tests.support.logs import logged
 from tests.support.waiting import expect
 
 ALL = TopicSelection()
@@ -374,7 +375,7 @@ async def test_unwritable_drive_log_is_logged_once_and_counts_lost_drives(tmp_pa
             await made._keep([DRIVE])
             await made._keep([DRIVE, DRIVE])
         assert made.lost == 3
-        assert [line["event"] for line in logs] == ["drives.lost"]
+        assert logged(logs) == ["drives.lost"]
         assert len(made.newest_first()) == 3
 
 
@@ -390,7 +391,7 @@ async def test_drive_log_that_fails_again_after_it_could_be_written_is_logged_ag
             folder.write_text("")
             await made._keep([DRIVE])
         assert made.lost == 2
-        assert [line["event"] for line in logs] == ["drives.lost", "drives.lost"]
+        assert logged(logs) == ["drives.lost", "drives.lost"]
 
 
 async def test_drive_log_that_keeps_no_file_writes_none(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from hostlink.components.ros1.tcpros import encode_header
 from hostlink.components.ros1.xml_rpc import CallRefused, decode_answer, encode_call
 from hostlink.core.messages.catalog import CLOCK_TYPE
 from tests.support.api_memory import ApiTransport
+from tests.support.logs import logged
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
 from tests.support.ros1.wireless import FakeRpc, FakeWire, local_node
 from tests.support.virtual_loop import inside
@@ -308,7 +309,7 @@ async def test_clock_of_another_type_ends_nothing_and_is_tried_again(made: Graph
     made.rpc.answer = lambda _uri, _method: True
     with capture_logs() as logs:
         await made.member.parameters.renew()
-    assert [each["event"] for each in logs] == ["ros1.clock_unusable"]
+    assert logged(logs) == ["ros1.clock_unusable"]
     assert made.scene.hub.links.wall_ns() == 0
     await asyncio.sleep(0.2)
     tries: list[object] = []

@@ -27,6 +27,7 @@ from hostlink.core.mirror.log_once import LogOnce
 from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.hosts import host_in
+from tests.support.logs import logged
 from tests.support.participants import ROBOT, Scene, play
 from tests.support.virtual_loop import inside
 
@@ -285,5 +286,5 @@ async def test_topics_of_every_node_for_tools_are_left_out(scene: Scene) -> None
         remote.come("aa", topic="/parameter_events", type_name="rcl_interfaces/msg/ParameterEvent")
         remote.come("aa", topic="/rosout", type_name="rcl_interfaces/msg/Log")
         remote.come("aa", topic="/drive/_action/feedback", type_name="x/msg/Y")
-    assert logs == []
+    assert logged(logs) == []
     assert scene.hub.topics.find_or_none("/parameter_events") is None

@@ -25,6 +25,7 @@ from hostlink.components.zenoh.session import (
 from hostlink.components.zenoh.settings import ZenohSettings, library
 from hostlink.core.hub.isolation import Isolation
 from hostlink.errors import ConfigError, LibraryMissing
+from tests.support.logs import logged
 from tests.support.virtual_loop import run_virtual
 
 PUT, DELETE = "put", "delete"
@@ -376,7 +377,7 @@ def test_closed_session_undeclares_nothing_and_logs_no_errors() -> None:
         zenoh.has_failed = True
         with capture_logs() as logs:
             session.put("a", b"1")
-        assert logs == []
+        assert logged(logs) == []
 
     with_session(test)
 
@@ -394,7 +395,7 @@ def test_opened_session_is_closed_at_the_end_of_its_block(monkeypatch: pytest.Mo
 
     with capture_logs() as logs:
         run_virtual(run(ZenohSettings(name="lab")))
-    assert [each["event"] for each in logs] == ["zenoh.opened", "zenoh.closed"]
+    assert logged(logs) == ["zenoh.opened", "zenoh.closed"]
     assert logs[0]["zid"] == "1a"
     zenoh.has_failed = True
     with pytest.raises(ConfigError, match="the session cannot be opened: session closed"):

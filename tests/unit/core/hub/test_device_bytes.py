@@ -14,6 +14,7 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_TCP
 from hostlink.core.protocol.xrce.session import XrceSession
 from tests.support import xrce_board as board
+from tests.support.logs import logged
 from tests.support.memory_transport import memory_pair
 from tests.support.virtual_loop import virtual
 
@@ -62,5 +63,5 @@ async def test_device_whose_objects_alone_are_too_large_loses_its_link() -> None
     with capture_logs() as lines:
         DeviceBytes(share, memories_of(small, large)).look()
     assert (small._end, large._end) == (None, LinkEnd.EVICTED)
-    assert [line["event"] for line in lines] == ["link.too_large"]
+    assert logged(lines) == ["link.too_large"]
     assert 0 < share.held_bytes <= share.max_bytes
