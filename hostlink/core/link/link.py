@@ -303,7 +303,7 @@ class Link:
             data, reader.rest = data[:FIRST_BYTES], data[FIRST_BYTES:]
         self._from_device.add(data, now_s)
         was_steady = session.is_steady
-        paused_s = 0.0 if was_steady else now_s - last_s - self._pauses(now_s).awake_s(last_s, now_s)
+        paused_s = 0.0 if was_steady else self._pauses(now_s).paused_s(last_s)
         found = session.receive(data, now_s=now_s, paused_s=paused_s)
         if found and (session.outbox.answers or session.outbox.is_time_due):  # some devices wait for 10 ms only
             self._pauses(now_s)

@@ -42,10 +42,13 @@ class HostPauses:
         """Whether current observations of a device are unaffected by pauses."""
         return not self.was_paused(now_s - RECOVERY_S)
 
+    def paused_s(self, since_s: float) -> float:
+        """Sum of the pauses after `since_s`."""
+        return sum(ended_s - max(began_s, since_s) for began_s, ended_s in self._pauses if ended_s > since_s)
+
     def awake_s(self, since_s: float, now_s: float) -> float:
         """Time from `since_s` to `now_s` without the pauses."""
-        paused_s = sum(ended_s - max(began_s, since_s) for began_s, ended_s in self._pauses if ended_s > since_s)
-        return now_s - since_s - paused_s
+        return now_s - since_s - self.paused_s(since_s)
 
 
 def never_paused(_now_s: float) -> HostPauses:

@@ -22,11 +22,12 @@ from hostlink.core.transport.connection import ignore
 from hostlink.core.transport.tcp import explain
 from hostlink.errors import ConfigError
 
+FREE_S = 1.5  # the guardian of a daemon that was killed has its port for half a second, to stop the robots
+RETRY_S = 0.05
+
 # -- allowance --------------------------------------------------------------------------------------------------------
 
 HEADER_BYTES = 28  # IPv4 and UDP header of each datagram
-FREE_S = 1.5  # the guardian of a daemon that was killed has its port for half a second, to stop the robots
-RETRY_S = 0.05
 
 
 class Allowance:
