@@ -303,8 +303,9 @@ class Link:
             data, reader.rest = data[:FIRST_BYTES], data[FIRST_BYTES:]
         self._from_device.add(data, now_s)
         was_steady = session.is_steady
-        paused_s = 0.0 if was_steady else self._pauses(now_s).paused_s(last_s)
-        found = session.receive(data, now_s=now_s, paused_s=paused_s)
+        if not was_steady and (paused_s := self._pauses(now_s).paused_s(last_s)):
+            session.note_host_pause(paused_s)
+        found = session.receive(data, now_s=now_s)
         if found and (session.outbox.answers or session.outbox.is_time_due):  # some devices wait for 10 ms only
             self._pauses(now_s)
             self._write_frames(now_s)

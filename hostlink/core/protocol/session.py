@@ -56,8 +56,14 @@ class DeviceSession(ABC):
         """Begin a new connection."""
 
     @abstractmethod
-    def receive(self, data: bytes, *, now_s: float, paused_s: float = 0.0) -> list[Event]:
-        """Process bytes from the device. The host itself did not run for `paused_s` since the last bytes."""
+    def receive(self, data: bytes, *, now_s: float) -> list[Event]:
+        """Process bytes from the device."""
+
+    def note_host_pause(self, paused_s: float) -> None:  # noqa: B027 - for protocols that measure the device's silence
+        """Learn, before the bytes of `receive`, for how long the host itself did not run since the bytes before them.
+
+        Only a session that is not steady is told.
+        """
 
     @abstractmethod
     def tick(self, *, now_s: float) -> list[Event]:

@@ -129,11 +129,15 @@ class Session(DeviceSession):
         self._request_if_due(now_s, found)
         return found
 
-    def receive(self, data: bytes, *, now_s: float, paused_s: float = 0.0) -> list[events.Event]:
-        """Process bytes from the device. The host itself did not run for `paused_s` since the last bytes."""
+    def note_host_pause(self, paused_s: float) -> None:
+        """Do not count this time as silence of the device."""
+        self.negotiation.received_at_s += paused_s
+
+    def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
+        """Process bytes from the device."""
         self.counts.bytes_from_device += len(data)
         if self._stream.pending:
-            self.negotiation.note_pause(now_s - self.negotiation.received_at_s - paused_s)
+            self.negotiation.note_pause(now_s - self.negotiation.received_at_s)
         self.negotiation.received_at_s = now_s
         found: list[events.Event] = []
         self._read(self._stream.feed(data), now_s, found)

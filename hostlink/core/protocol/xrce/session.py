@@ -191,7 +191,7 @@ class XrceSession(DeviceSession):
             client.begin(now_s)
         return []
 
-    def receive(self, data: bytes, *, now_s: float, paused_s: float = 0.0) -> list[events.Event]:  # noqa: ARG002
+    def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
         """Process bytes from the device. What answers them is queued before this returns."""
         self._now_s = now_s
         self.counts.bytes_from_device += len(data)

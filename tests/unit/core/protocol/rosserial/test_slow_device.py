@@ -88,7 +88,8 @@ def test_pause_of_the_host_inside_a_frame_does_not_count_as_a_slow_turn(paused_s
     host = Host(ODOMETRY)
     host.receive(TIME[:5])
     host.now_s += 10.0
-    host.session.receive(TIME[5:], now_s=host.now_s, paused_s=paused_s)
+    host.session.note_host_pause(paused_s)
+    host.session.receive(TIME[5:], now_s=host.now_s)
     host.wait(silence_s - 0.1)
     assert all(frame.topic_id != Id.PUBLISHER for frame in host.sent())
     host.wait(0.2)
