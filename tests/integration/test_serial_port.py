@@ -226,8 +226,8 @@ async def test_bytes_that_another_program_takes_end_no_link() -> None:
         thief.watch()
         for _ in range(20):
             before = thief.taken
-            os.write(board.descriptor, ANNOUNCEMENT)
-            await expect(lambda before=before: thief.taken > before)
+            # A busy computer may wake hostlink alone, which then takes all.
+            await expect(lambda before=before: os.write(board.descriptor, ANNOUNCEMENT) and thief.taken > before)
         await expect(lambda: "serial_shared" in found_by_doctor(host.hub))  # also where only the reads show it
         assert "reads were lost to it" in found_by_doctor(host.hub)["serial_shared"]
         thief.close()
