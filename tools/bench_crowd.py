@@ -26,7 +26,7 @@ import aiohttp
 
 from hostlink.core.protocol.rosserial.frame import Frame, Id
 from hostlink.core.protocol.rosserial.stream import FrameStream
-from tests.support.process import HOSTLINK, Process, serve
+from tests.support.process import HOSTLINK, Process, free_port, serve
 from tests.support.stopwatch import kept_waiting_s
 from tests.support.waiting import is_true_within
 from tools.bench import Row, cpu_s, crowd, memory_mib, p99, parser, report
@@ -49,9 +49,16 @@ STEP_M_S = 0.0001
 MANY = "[tcp]\nmax_connections = 4000\nmax_connections_per_address = 100\n"
 
 
+MANY_BOARDS = """
+[micro_ros.udp]
+port = {port}
+max_connections = 1200
+"""
+
+
 @dataclass(frozen=True)
 class Load:
-    """A crowd, and for how long it stays."""
+    """A crowd, and for how long it stays. `port`: where it connects; 0: where rosserial devices do."""
 
     what: str
     crowd: str | None
@@ -60,6 +67,7 @@ class Load:
     config: str = ""
     p99_bound_s: float = P99_BOUND_S
     subscribes: str = ""  # to this topic, by a program of its own
+    port: int = 0
 
 
 def loads(share: float) -> list[Load]:
@@ -67,6 +75,7 @@ def loads(share: float) -> list[Load]:
     return [
         Load("nobody else", None, 0, 10 * share),
         Load("devices at once, 10 Hz each", "devices", round(1000 * share), 30 * share, MANY),
+        boards(round(1000 * share), 30 * share),
         Load("connect and vanish each second", "vanish", round(200 * share), 60 * share),
         Load("connections that say nothing", "silent", round(10_000 * share), 30 * share),
         Load("device that floods", "flood", 1, 20 * share, p99_bound_s=0.005),
@@ -75,9 +84,17 @@ def loads(share: float) -> list[Load]:
     ]
 
 
+def boards(count: int, seconds: float) -> Load:
+    """Return a crowd of micro-ROS boards at twenty addresses."""
+    port = free_port()
+    return Load(
+        "micro-ROS boards at once, 1 Hz each", "boards", count, seconds, MANY_BOARDS.format(port=port), port=port
+    )
+
+
 def main() -> int:
     arguments = parser(__doc__, "crowd")
-    arguments.add_argument("--only", help="one of: devices, vanish, silent, flood, mixed")
+    arguments.add_argument("--only", help="one of: devices, boards, vanish, silent, flood, mixed")
     chosen = arguments.parse_args()
     alone = asyncio.run(measure(loads(chosen.share)[0]))
     rows = [*rows_of(alone, alone)]
@@ -173,6 +190,11 @@ class Robot:
             self._writer.write(TIME)
             await asyncio.sleep(2.0)
 
+    async def read_answers(self) -> None:
+        """Read what the daemon sends to the program, so that its pings are answered."""
+        async for _ in self._program:
+            pass
+
     async def drive(self, seconds: float) -> list[float]:
         """Latencies of the commands that came; AssertionError when one was lost.
 
@@ -237,7 +259,7 @@ async def driven(daemon: Process) -> AsyncIterator[Robot]:
         asyncio.TaskGroup() as tasks,
     ):
         robot = Robot(reader, writer, program, session)
-        running = [tasks.create_task(robot.listen()), tasks.create_task(robot.keep_time())]
+        running = [tasks.create_task(each) for each in (robot.listen(), robot.keep_time(), robot.read_answers())]
         await program.send_json(
             {"op": "advertise", "topic": "/robot_0/velocity_commands", "type": "geometry_msgs/Twist"}
         )
@@ -255,7 +277,8 @@ async def visitors_of(load: Load, daemon: Process) -> AsyncIterator[Callable[[],
     if load.crowd is None:
         yield nobody
         return
-    async with crowd(load.crowd, load.count, daemon.tcp, load.seconds) as output:
+    host = ("127.0.0.1", load.port) if load.port else daemon.tcp
+    async with crowd(load.crowd, load.count, host, load.seconds) as output:
 
         async def counts() -> dict[str, int]:
             found: dict[str, int] = json.loads(await output.read())

@@ -8,6 +8,7 @@ say nothing.
     python tools/crowd.py flood 1 HOST:PORT SECONDS          # so many devices that publish poses as fast as they can
     python tools/crowd.py mixed 16 HOST:PORT SECONDS         # the same, each with frames of another kind
     python tools/crowd.py steady 10 HOST:PORT SECONDS        # so many devices, each with 1,000 poses a second
+    python tools/crowd.py boards 1000 HOST:PORT SECONDS      # so many micro-ROS boards, each with 1 message a second
 
 They come from addresses of their own (127.0.0.2 and up), so that each has the bounds of one address. Prints
 "ready" when all are there, and a JSON object at the end.
@@ -20,7 +21,7 @@ import resource
 import socket
 import struct
 import sys
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
+from tests.support import xrce_board as board
 
 RATE_HZ = 10
 TURNS_A_PERIOD = 50  # the devices speak in so many groups, one after another
@@ -43,6 +45,8 @@ VOLTAGE = encode(126, struct.pack("<f", 12.1))
 CONNECT_TIMEOUT_S = 10.0
 STEADY_HZ = 1000
 FLOOD_BYTES = 65536  # of one write
+NODE, TOPIC, PUBLISHER, WRITER = 0x01, 0x02, 0x03, 0x05  # objects of a micro-ROS board
+LATE_S = 0.3  # of an acknowledgement
 
 
 class Device(asyncio.Protocol):
@@ -152,6 +156,106 @@ async def steady(count: int, host: str, port: int, seconds: float, counts: Count
             device.send(poses + TIME if sent % (2 * STEADY_HZ) == 0 else poses)
         await asyncio.sleep(max(0.0, began_s + sent / STEADY_HZ - loop.time()))
     counts["poses"] = sent * count
+    counts["behind_ms"] = round(1000 * (loop.time() - began_s - seconds))
+
+
+class Board(asyncio.DatagramProtocol):
+    """A micro-ROS board with one publisher, which waits for the acknowledgement of each message."""
+
+    def __init__(self, number: int, counts: Counter[str]) -> None:
+        self._client, self._counts = board.Client(key=number.to_bytes(4)), counts
+        self._loop = asyncio.get_running_loop()
+        self._transport: asyncio.DatagramTransport | None = None
+        self._wanted = deque(
+            [
+                (NODE, board.participant(f"crowd_{number}"), 0),
+                (TOPIC, board.topic(f"rt/crowd_{number}/value", "std_msgs::msg::dds_::Float32_"), NODE),
+                (PUBLISHER, b"\0\0", NODE),
+                (WRITER, board.endpoint(TOPIC, is_reader=False), PUBLISHER),
+            ]
+        )
+        self._request = 0  # the status of this one is awaited
+        self._sent_s: float | None = None
+        self.is_ready = False
+
+    def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
+        self._transport = transport
+
+    def error_received(self, exc: Exception) -> None:  # noqa: ARG002 - asyncio's signature
+        self._counts["unreachable"] += 1
+
+    def datagram_received(self, data: bytes, addr: object) -> None:  # noqa: ARG002 - asyncio's signature
+        client = self._client
+        client.now_s = self._loop.time()
+        client.read(data)
+        if not self._is_acknowledged or client.agent_status != 0:
+            self._flush()
+            return
+        if self._sent_s is not None:
+            taken_s, self._sent_s = client.now_s - self._sent_s, None
+            self._counts["acknowledged"] += 1
+            self._counts["late"] += taken_s > LATE_S
+            self._counts["longest_ms"] = max(self._counts["longest_ms"], round(1000 * taken_s))
+        if not self.is_ready and (not self._request or self._request in client.statuses):
+            self.is_ready = not self._wanted
+            if self._wanted:
+                self._request, creating = client.creating(*self._wanted.popleft())
+                client.put(creating)
+        self._flush()
+
+    def again(self) -> None:
+        """Send what is not answered once more."""
+        client = self._client
+        if client.agent_status is None:
+            client.sent.append(client.creation())
+        for number, body in client.slots.items():
+            client.send(0x80, number, body)
+        self._flush()
+
+    def publish(self) -> None:
+        """Send a number, or the one before again if it is not acknowledged."""
+        if self._sent_s is not None:
+            self._counts["behind"] += 1
+            self.again()
+            return
+        self._sent_s = self._loop.time()
+        head = struct.pack(">HH", self._client.request() & 0xFFFF, WRITER)
+        self._client.put(board.sub(board.WRITE, head + struct.pack("<f", 1.0)))
+        self._flush()
+
+    @property
+    def _is_acknowledged(self) -> bool:
+        return board.ahead(self._client.last_acked, self._client.last_sent) <= 0
+
+    def _flush(self) -> None:
+        sent, self._client.sent = self._client.sent, []
+        for each in sent if self._transport is not None else ():
+            self._transport.sendto(each)
+
+
+async def boards(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+    """micro-ROS boards, distributed over the period. One that is refused tries again after a second, as a stock one."""
+    loop = asyncio.get_running_loop()
+    made: list[Board] = []
+    for number in range(count):
+        _, one = await loop.create_datagram_endpoint(
+            lambda number=number: Board(number + 1, counts),  # type: ignore[misc]
+            local_addr=(source(number), 0),
+            remote_addr=(host, port),
+        )
+        made.append(one)
+    began_s = loop.time()
+    while waiting := [each for each in made if not each.is_ready]:
+        for each in waiting:
+            each.again()
+            await asyncio.sleep(1 / len(waiting))
+    counts["admitted_ms"] = round(1000 * (loop.time() - began_s))
+    ready()
+    counts["longest_ms"], began_s = 0, loop.time()
+    for turn in range(round(TURNS_A_PERIOD * seconds)):
+        for each in made[turn % TURNS_A_PERIOD :: TURNS_A_PERIOD]:
+            each.publish()
+        await asyncio.sleep(max(0.0, began_s + (turn + 1) / TURNS_A_PERIOD - loop.time()))
     counts["behind_ms"] = round(1000 * (loop.time() - began_s - seconds))
 
 
@@ -295,6 +399,7 @@ CROWDS = {
     "flood": flood,
     "mixed": mixed,
     "steady": steady,
+    "boards": boards,
 }
 KINDS = (
     POSE,

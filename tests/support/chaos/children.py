@@ -41,9 +41,14 @@ max_disk_mb = 20
 gain = [1.0, 2.0]
 """
 UDP_CONFIG = f"""
-[udp]
+[{{table}}]
 host = "127.0.0.1"
+port = {{port}}
 trusted = {json.dumps([f"{address}/32" for address in (HONEST_ADDRESS, *VERIFIED_ADDRESSES)])}
+"""
+MICRO_ROS_CONFIG = """
+[micro_ros.tcp]
+port = {port}
 """
 FLEET_CONFIG = """
 [zenoh]
@@ -69,6 +74,7 @@ class Daemon:
     tcp: tuple[str, int] = ("127.0.0.1", 0)
     api: tuple[str, int] = ("127.0.0.1", 0)
     udp: tuple[str, int] | None = None
+    micro_ros: tuple[str, int] = field(default_factory=lambda: ("127.0.0.1", free_port()))
     fleet: tuple[str, int] = field(default_factory=lambda: ("127.0.0.1", free_port()))
     is_away: bool = False  # it is being restarted
     preloaded: dict[str, str] = field(default_factory=dict)  # its environment, for a wall clock that jumps
@@ -100,8 +106,12 @@ class Daemon:
 
     def settings(self) -> str:
         """Valid content of the daemon's settings file."""
-        udp = UDP_CONFIG + f"port = {self.udp[1]}\n" if self.udp else ""
-        return CONFIG + udp + FLEET_CONFIG.format(port=self.fleet[1])
+        port = self.micro_ros[1]
+        tables = [CONFIG, MICRO_ROS_CONFIG.format(port=port), FLEET_CONFIG.format(port=self.fleet[1])]
+        if self.udp:
+            tables.append(UDP_CONFIG.format(table="udp", port=self.udp[1]))
+            tables.append(UDP_CONFIG.format(table="micro_ros.udp", port=port))
+        return "".join(tables)
 
     def prepare(self) -> None:
         """Make its files."""

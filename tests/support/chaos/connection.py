@@ -71,6 +71,11 @@ class Connection:
     async def send(self, data: bytes) -> None:
         await asyncio.get_running_loop().sock_sendall(self._socket, data)
 
+    def offer(self, data: bytes) -> None:
+        """Send what the system takes at once; the rest is lost."""
+        with contextlib.suppress(OSError):
+            self._socket.send(data)
+
     async def receive(self) -> bytes:
         """Return the received bytes; b"" at the end."""
         return await asyncio.get_running_loop().sock_recv(self._socket, READ_BYTES)

@@ -20,6 +20,10 @@ KINDS: dict[str, bool] = {
     "churn": False,
     "silent": False,
     "copy": False,
+    "board_rogues": True,
+    "board_churn": False,
+    "board_flood": True,
+    "board_trickle": True,
     "call": False,
     "bridge": True,
     "subscriber": False,
@@ -37,7 +41,7 @@ KINDS: dict[str, bool] = {
     "restart": False,
     "clock": False,
 }
-DOUBLE = ("flood", "announce", "call")  # kinds with more ways of their own than others
+DOUBLE = ("flood", "announce", "call", "board_flood")  # kinds with more ways of their own than others
 
 
 @dataclass(frozen=True)

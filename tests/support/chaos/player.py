@@ -17,7 +17,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from tests.support.chaos import calls, devices, loads, programs, tls_strangers, upheavals
+from tests.support.chaos import boards, calls, devices, loads, programs, tls_strangers, upheavals
 from tests.support.chaos.devices import quietly
 from tests.support.chaos.plan import Action, Step, draw_step
 from tests.support.chaos.stage import Stage
@@ -32,6 +32,10 @@ PLAY: dict[str, Callable[[Stage, Action], Awaitable[None]]] = {
     "churn": devices.churn,
     "silent": devices.silent,
     "copy": devices.copy,
+    "board_rogues": boards.board_rogues,
+    "board_churn": boards.board_churn,
+    "board_flood": boards.board_flood,
+    "board_trickle": boards.board_trickle,
     "call": calls.call,
     "bridge": programs.bridge,
     "subscriber": programs.subscriber,

@@ -385,6 +385,7 @@ async def run(wanted: Wanted, log: Callable[[str], None]) -> Outcome:
             ports = [str(running.tcp[1]), str(running.api[1]), str(running.udp[1] if running.udp else 0)]
             stage = {
                 "tcp": running.tcp,
+                "micro_ros": running.micro_ros,
                 "api": running.api,
                 "fleet": running.fleet,
                 "wrong_certificate": [str(path) for path in running.wrong_certificate],

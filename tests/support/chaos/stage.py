@@ -10,6 +10,7 @@ from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST
 from tests.support.chaos.connection import Connection, DatagramConnection, Room, leaving
 from tests.support.chaos.names import VERIFIED_ADDRESSES, hostile_address
 from tests.support.chaos.requests import draw_handshake
+from tests.support.xrce_board import Datagrams, Lengths
 
 DEVICE, SOCKET, IDLE, STUCK, UPLOAD, TLS = "device", "socket", "idle", "stuck", "upload", "tls"
 ROOM = {
@@ -21,6 +22,8 @@ ROOM = {
     TLS: 32,
 }  # the daemon has 256 connections of devices, 1024 descriptors
 UDP_SHARE = 0.3  # of the devices, where the daemon receives datagrams
+BOARD_UDP_SHARE = 0.7  # of the micro-ROS boards
+VERIFIED_SHARE = 0.7  # of those that use UDP
 REQUEST_TIMEOUT_S = 0.7
 HANDSHAKE_WAIT_S = 2.0
 Report = Callable[[dict[str, Any]], None]
@@ -35,6 +38,7 @@ class Stage:
     api: tuple[str, int]
     report: Report
     udp: tuple[str, int] | None = None
+    micro_ros: tuple[str, int] = ("", 0)  # of TCP, and of UDP where the daemon receives datagrams
     fleet: tuple[str, int] | None = None
     wrong_certificate: tuple[str, str] = ("", "")  # and its key: of another authority than the fleet's
     room: Room = field(default_factory=lambda: Room(**ROOM))
@@ -52,6 +56,16 @@ class Stage:
         source = dice.choice(VERIFIED_ADDRESSES) if is_udp and is_verified else hostile_address(dice)
         async with self._connected(to, source, DEVICE, way, dial=dial) as connection:
             yield connection
+
+    @contextlib.asynccontextmanager
+    async def board(self, dice: random.Random, way: str = "fin") -> AsyncIterator[tuple[Connection, Datagrams]]:
+        """A micro-ROS board's connection, over TCP or UDP, and how its messages are framed there."""
+        is_udp = self.udp is not None and dice.random() < BOARD_UDP_SHARE
+        dial = DatagramConnection.dial if is_udp else Connection.dial
+        is_verified = is_udp and dice.random() < VERIFIED_SHARE
+        source = dice.choice(VERIFIED_ADDRESSES) if is_verified else hostile_address(dice)
+        async with self._connected(self.micro_ros, source, DEVICE, way, dial=dial) as connection:
+            yield connection, Datagrams() if is_udp else Lengths()
 
     @contextlib.asynccontextmanager
     async def program(

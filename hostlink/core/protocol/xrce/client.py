@@ -336,17 +336,18 @@ class XrceClient:
         """Whether the next number of a stream is surely one of the client's present session."""
         return stream.fits and not self.is_reset_due
 
-    def is_repair_due(self, now_s: float) -> bool:
-        """Whether an ACKNACK in the same message may repair a loss, and repeats no other.
+    def repair(self, now_s: float) -> bytes:
+        """Return an ACKNACK that may repair a loss and repeats no other; empty if none is due.
 
         The client sends again what it has when it gets a bit of the bitmap. It postpones its own HEARTBEAT with each
         message that it gets, and waits for up to a second without this.
         """
         main = self.inputs.get(RELIABLE)
         if main is None or not self.may_acknowledge(main) or now_s - self.told_s <= self.round_trip_s:
-            return False
+            return b""
         blocked_s = min(max(SILENCE_S, 3 * self.round_trip_s), SILENCE_MAX_S)
-        return now_s - self.message_s > min(SILENCE_GAPS * self.gap_s, blocked_s)
+        is_due = now_s - self.message_s > min(SILENCE_GAPS * self.gap_s, blocked_s)
+        return self.acknack(main, now_s, is_repair=True) if is_due else b""
 
     def note_creating(self, now_s: float) -> None:
         """Note that the client creates objects. For a while it is asked for what was lost whenever it is silent."""
@@ -367,13 +368,13 @@ class XrceClient:
             self.repair_s = now_s + CREATING_SILENCE_S
 
     def due_repair(self, now_s: float) -> bytes:
-        """Return an ACKNACK with which the client sends again what was lost; empty if its number does not fit."""
+        """Return the ACKNACK that is due at `repair_s`; empty if its number does not fit. Plan the next one."""
         pause_s = max(CREATING_SILENCE_S, 2 * self.round_trip_s)
         self.repair_s = now_s + pause_s if now_s < self._creating_until_s else float("inf")
         main = self.input(RELIABLE)
         if main is None or not self.may_acknowledge(main):
             return b""
-        return self.message(NO_STREAM, self.acknack(main, now_s, is_repair=True))
+        return self.acknack(main, now_s, is_repair=True)
 
     def note_message(self, now_s: float) -> None:
         """Note that a reliable message came."""

@@ -232,7 +232,7 @@ class XrceSession(DeviceSession):
                     continue
                 self._put(client.message(NO_STREAM, client.heartbeat(now_s)))
             if now_s >= client.repair_s and (repair := client.due_repair(now_s)):
-                self._put(repair)
+                self._put(client.message(NO_STREAM, repair))
             if now_s >= client.ack_s:
                 client.ack_s = math.inf
                 self._acks |= {(client.session, client.id_key, stream): None for stream in client.inputs}
@@ -461,9 +461,8 @@ class XrceSession(DeviceSession):
             if client.is_listening(self._now_s) or self._now_s < client.free_s(self._now_s):
                 self.outbox.replaced += endpoint.id in client.held
                 client.held[endpoint.id] = (message, is_kept)
-                if client.is_repair_due(self._now_s):
-                    acknack = client.acknack(client.inputs[RELIABLE], self._now_s, is_repair=True)
-                    self._put(client.message(NO_STREAM, acknack))
+                if repair := client.repair(self._now_s):
+                    self._put(client.message(NO_STREAM, repair))
             else:
                 self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)
             return
@@ -1175,8 +1174,8 @@ class XrceSession(DeviceSession):
         now_s = self._now_s
         room_bytes = client.mtu - len(head) - len(data)
         parts: list[bytes] = []
-        if room_bytes >= EXTRA_BYTES and client.is_repair_due(now_s):
-            parts.append(client.acknack(client.inputs[RELIABLE], now_s, is_repair=True))
+        if room_bytes >= EXTRA_BYTES and (repair := client.repair(now_s)):
+            parts.append(repair)
             room_bytes -= EXTRA_BYTES
         zeros = [each for each in client.zeros.values() if each.message == head + data]
         if not zeros:

@@ -9,13 +9,16 @@ import pytest
 
 from hostlink.core.protocol.rosserial.frame import Frame
 from hostlink.core.protocol.rosserial.stream import FrameStream
-from tests.support.chaos import frames, requests
-from tests.support.chaos.names import HOSTILE_RAD_S, payload_of
+from hostlink.core.protocol.xrce.protocol import MICRO_ROS_UDP
+from tests.support import xrce_board as board
+from tests.support.chaos import boards, frames, requests
+from tests.support.chaos.names import CATALOG, HOSTILE_RAD_S, payload_of
 from tests.support.chaos.plan import KINDS, PHASE_STEPS, draw_mix, draw_step
 from tests.support.chaos.player import PLAY
 from tests.support.chaos.stage import DEVICE, ROOM
 
 SEEDS = range(30)
+DAMAGED = {"garbage", "claims_0", "claims_80"}  # floods of which a host reads little
 RIGHT = {"messages", "logs", "new_names", "parameters", "times", "wrong_topics", "requests", "unknown_ids", "host_ids"}
 
 
@@ -51,6 +54,15 @@ def test_a_flood_gives_large_blocks_without_end(maker) -> None:  # type: ignore[
     assert min(map(len, blocks[1:])) > 10_000
     found = [item for item in FrameStream(limit_bytes=20_000).feed(blocks[1][:8000]) if isinstance(item, Frame)]
     assert bool(found) or maker.__name__ not in RIGHT
+
+
+@pytest.mark.parametrize("flood", boards.FLOODS, ids=lambda flood: flood.__name__)
+def test_a_flood_of_a_board_has_messages_without_end_that_a_host_reads(flood: boards.Flood) -> None:
+    client, session = board.Client(key=b"\1\2\3\4"), MICRO_ROS_UDP.session(CATALOG)
+    session.open(now_s=0.0)
+    for number, message in enumerate([client.creation(), *itertools.islice(flood(client, random.Random(1)), 300)]):
+        session.receive(message, now_s=0.001 * number)
+    assert session.counts.frames_from_device > 100 or flood.__name__ in DAMAGED
 
 
 def test_a_flood_of_new_names_never_requests_one_twice() -> None:
