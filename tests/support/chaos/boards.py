@@ -19,7 +19,7 @@ from tests.support.xrce_device import Device, stock
 NODE = board.object_id(0, board.PARTICIPANT)
 WRITER, READER = board.object_id(0, board.WRITER), board.object_id(0, board.READER)
 CONNECTED_S = 0.5  # in which the host answers that it has created a client
-CREATE_S = 0.5  # a rogue goes on without the answer
+CREATE_S = 0.5  # for the status of each object
 BURST = 40  # messages of a flood at once
 Messages = Iterator[bytes]
 Flood = Callable[[board.Client, random.Random], Messages]
