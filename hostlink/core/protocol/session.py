@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import ClassVar
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.clock import DeviceClock
@@ -298,13 +299,15 @@ class DeviceSession(ABC):
         return StopFrames(zeros, self.outbox.control.end)
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class DeviceProtocol(ABC):
     """A protocol that devices speak: creates the session of each connection, and knows its bytes without a session."""
 
-    name: str
-    invitation = b""  # sent to a silent device of a datagram port, which then begins
+    name: ClassVar[str]
+    invitation: ClassVar[bytes] = b""  # sent to a silent device of a datagram port, which then begins
     keeps_datagrams = False  # whether a session gets each datagram whole and by itself
-    writes_in_parts = False  # devices send one message with several writes, and wait for the acknowledgement of each
+    # Devices send one message with several writes, and wait for the acknowledgement of each.
+    writes_in_parts: ClassVar[bool] = False
 
     @abstractmethod
     def session(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import ClassVar
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
@@ -27,8 +28,8 @@ MAX_HEADS = 8  # false frame starts that are examined, so that the work is bound
 class Rosserial(DeviceProtocol):
     """rosserial, as rosserial_arduino's ros_lib and hostlink's own library speak it."""
 
-    name = NAME
-    invitation = TOPICS_REQUEST  # a silent device sends its first datagram when its topics are requested
+    name: ClassVar[str] = NAME
+    invitation: ClassVar[bytes] = TOPICS_REQUEST  # a silent device of a datagram port answers it
 
     def session(
         self, catalog: Catalog, *, uart_bytes_s: int | None = None, max_topics: int = MAX_TOPICS, is_lossy: bool = False

@@ -11,7 +11,7 @@ On a serial line 7E begins a frame everywhere, also inside a broken one.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from typing import Final
+from typing import ClassVar, Final
 
 from hostlink.core.runtime.compiled import mypyc_attr
 
@@ -56,7 +56,7 @@ def crc16(data: bytes) -> int:
 class Framing(ABC):
     """Framing of one connection: bytes in, whole messages out, and the other way round."""
 
-    transport = ""  # on which it is used: "udp", "tcp" or "serial"
+    transport: ClassVar[str] = ""  # on which it is used: "udp", "tcp" or "serial"
     limit_bytes = 0xFFFF  # longest message
 
     def __init__(self) -> None:
@@ -93,7 +93,7 @@ class Framing(ABC):
 class DatagramFraming(Framing):
     """One message in each datagram."""
 
-    transport = "udp"
+    transport: ClassVar[str] = "udp"
     limit_bytes = 65507  # of UDP
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -119,7 +119,7 @@ class DatagramFraming(Framing):
 class CapturedDatagramFraming(DatagramFraming):
     """The framing of a capture of datagrams. The first one may have joined messages before it."""
 
-    transport = "datagrams"
+    transport: ClassVar[str] = "datagrams"
 
     def feed(self, data: bytes) -> list[bytes]:
         self.skipped = []
@@ -137,7 +137,7 @@ class CapturedDatagramFraming(DatagramFraming):
 class LengthFraming(Framing):
     """The length of each message in front of it, on TCP. Nothing can be damaged there, and nothing is found again."""
 
-    transport = "tcp"
+    transport: ClassVar[str] = "tcp"
 
     def __init__(self) -> None:
         super().__init__()
@@ -179,7 +179,7 @@ class LengthFraming(Framing):
 class SerialFraming(Framing):
     """Frames with escapes and a checksum, on a serial line. A 7E interrupts the frame before it, which is skipped."""
 
-    transport = "serial"
+    transport: ClassVar[str] = "serial"
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,6 +1,7 @@
 """MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL: DDS-XRCE as listeners and links use it, one for each transport."""
 
 from collections.abc import Callable
+from typing import ClassVar
 
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.session import DeviceProtocol
@@ -14,8 +15,8 @@ from hostlink.core.protocol.xrce.wire import NO_STREAM, answer_ping, decode_mess
 class Xrce(DeviceProtocol):
     """DDS-XRCE on one kind of transport."""
 
-    name = NAME
-    writes_in_parts = True  # on TCP: the length, and the message
+    name: ClassVar[str] = NAME
+    writes_in_parts: ClassVar[bool] = True  # on TCP: the length, and the message
 
     def __init__(
         self, framing: Callable[[], Framing], *, keeps_datagrams: bool = False, velocity_stream: int = NO_STREAM
