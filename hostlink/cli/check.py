@@ -21,7 +21,7 @@ from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.parameters import to_parameter
 from hostlink.core.hub.robot_settings import check_command, drive_in, encoders_lack, frames_of, lacking
 from hostlink.core.hub.topic_graph import resolve
-from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor
+from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor, protocols_of
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.rosserial.control import encode_parameter
 from hostlink.core.robot.kinematics import SETTINGS, WHEELS_NEED, AckermannDrive
@@ -133,6 +133,8 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     _check_values(config)
     hub = Hub(config, Catalog(config.message_folders))  # message folders, limits of robots
     TcpAcceptor(hub, config.tcp)  # the key
+    for serial in config.serial:
+        protocols_of(hub, serial)
     warnings = []
     for each in chosen_components(config, USUAL):  # the warnings of those with tables of other names begin with a key
         warnings += [f"{'' if each.kind.tables else f'{each.name}: '}{warning}" for warning in each.make().check()]

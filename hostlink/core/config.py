@@ -81,7 +81,7 @@ class UdpConfig:
         Raises:
             ValueError: an entry has no IP address, or no port.
         """
-        return [_device_address(text) for text in self.devices]
+        return [device_address(text) for text in self.devices]
 
 
 ROSSERIAL, MICRO_ROS = "rosserial", "micro-ros"  # protocols, as settings name them
@@ -737,13 +737,18 @@ def is_address(text: str) -> bool:
 def is_place(text: str) -> bool:
     """Whether `text` is a whole IP address, or one with a port."""
     try:
-        _device_address(text)
+        device_address(text)
     except ValueError:
         return is_address(text)
     return True
 
 
-def _device_address(text: str) -> tuple[str, int]:
+def device_address(text: str) -> tuple[str, int]:
+    """Return the IP address and the port of HOST:PORT.
+
+    Raises:
+        ValueError: it is something else.
+    """
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or not 0 < int(port) <= MAX_PORT:
         raise ValueError(f"udp.devices: {text!r} is not HOST:PORT")

@@ -9,8 +9,8 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, Unpack
-from weakref import WeakValueDictionary
 
 import structlog
 
@@ -195,8 +195,7 @@ class Host:
         """`spawn` runs work as long as the component. `counts`, `kept` and `ready` are of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
         self._offers: list[object] = []
-        # One that the hub and the component have let go of is not kept, nor what its callbacks refer to.
-        self._participants: WeakValueDictionary[int, Participant] = WeakValueDictionary()
+        self._participants: dict[int, Participant] = {}  # those that have not left
         self._numbers = itertools.count(1)
         self._follower: Participant | None = None  # of poses
         self._source: ParameterSource | None = None
@@ -406,7 +405,9 @@ class Host:
     def _joined(self, participant: Participant) -> Participant:
         if self._has_ended:
             raise BadRequest(f"{participant.name}: the run of {self._name} has ended")
-        self._participants[next(self._numbers)] = participant
+        number = next(self._numbers)
+        self._participants[number] = participant
+        participant.on_left = partial(self._participants.pop, number, None)
         return participant
 
     @property

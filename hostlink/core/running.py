@@ -16,7 +16,7 @@ from hostlink.core.hub.gates import Guard
 from hostlink.core.hub.hub import Hub, Listening
 from hostlink.core.hub.reloader import Read
 from hostlink.core.hub.stall_watch import slept_s
-from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
+from hostlink.core.listeners.accepting import TcpAcceptor, UdpAcceptor, protocols_of, serve_serial
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.runtime.cancellation import first_error, meanwhile
 from hostlink.core.runtime.detached import DetachedThread
@@ -113,7 +113,13 @@ async def _hub_running(hub: Hub) -> AsyncIterator[None]:
 async def _listening(
     hub: Hub, config: Config, listening: Sequence[socket], on_listening: Callable[[], None]
 ) -> AsyncIterator[Addresses]:
-    """Open the listeners for devices, and the serial ports."""
+    """Open the listeners for devices, and the serial ports.
+
+    Raises:
+        ConfigError: a listener or a protocol cannot be used.
+    """
+    for port in config.serial:
+        protocols_of(hub, port)
     acceptor = TcpAcceptor(hub, config.tcp)
     tried = [asyncio.Event() for _ in config.serial]
     async with (

@@ -15,6 +15,7 @@ from hostlink.cli.inspect import Inspection
 from hostlink.cli.probe import probe_capture
 from hostlink.core.config import Config, MicroRosConfig, MicroRosTcpConfig, MicroRosUdpConfig, SerialConfig
 from hostlink.core.link import capture_buffer
+from hostlink.core.listeners.accepting import UdpAcceptor
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.rosserial.control import encode_topic_info
 from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
@@ -197,6 +198,18 @@ async def pinged(address: tuple[str, int]) -> bool:
             async with asyncio.timeout(0.5):
                 return b"\x06\x01" in await asyncio.get_running_loop().sock_recv(connection, 100)
     return False
+
+
+@pytest.mark.parametrize("peer", ["927.0.0.1:5000", "127.0.0.1:99999", "127.0.0.1:-1", "board"])
+async def test_remembered_board_at_no_address_is_forgotten(peer: str) -> None:
+    key = f"micro-ROS udp {peer}"
+    with capture_logs() as logs:
+        async with daemon(CONFIG) as host:
+            host.hub.links.memories.restore({key: "{}"})
+            acceptor = UdpAcceptor(host.hub, MicroRosUdpConfig().listening())
+            await acceptor.resume([])
+            assert not host.hub.links.memories.texts
+    assert [each["peer"] for each in logs if each["event"] == "boards.damaged"] == [peer]
 
 
 async def test_stranger_at_the_address_of_a_remembered_board_gets_no_robot() -> None:

@@ -6,8 +6,8 @@ from typing import Any
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from hostlink.core.protocol.endpoint import DeviceEndpoint
-from hostlink.core.protocol.rosserial.frame import Frame, Id, encode
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.rosserial.frame import Frame, encode
 
 payloads = st.binary(max_size=60)
 topic_ids = st.integers(0, 0xFFFF)
@@ -23,7 +23,7 @@ noise = st.one_of(st.binary(max_size=20), st.sampled_from([b"\xff", b"\xff\xff",
 names = st.text(st.characters(min_codepoint=33, max_codepoint=126), min_size=1, max_size=20)
 topic_infos = st.builds(
     DeviceEndpoint,
-    st.sampled_from(list(Id)[:6]),
+    st.sampled_from(EndpointKind),
     st.integers(100, 160),
     names,
     names,

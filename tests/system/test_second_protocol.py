@@ -118,11 +118,13 @@ async def test_guardian_stops_a_robot_of_another_protocol(tmp_path: Path, instal
         ("broken", "no_such_module"),
     ],
 )
+@pytest.mark.parametrize("is_serial", [False, True])
 async def test_protocol_that_cannot_be_used_is_refused_at_the_start(
-    tmp_path: Path, installed: dict[str, str], name: str, reason: str
+    tmp_path: Path, installed: dict[str, str], name: str, reason: str, *, is_serial: bool
 ) -> None:
     file = tmp_path / "hostlink.toml"
-    file.write_text(f'[tcp]\nprotocol = "{name}"\n')
+    table = '[[serial]]\npath = "/dev/hostlink-none"\n' if is_serial else "[tcp]\n"
+    file.write_text(f'{table}protocol = "{name}"\n')
     for words in (("--check-config", str(file)), ("--config", str(file), "--listen", f"127.0.0.1:{free_port()}")):
         child = await asyncio.create_subprocess_exec(
             HOSTLINK, "serve", *words, stderr=asyncio.subprocess.PIPE, env={**os.environ, **installed}

@@ -66,6 +66,7 @@ class Participant(Node):
         self._followed: set[AnyRobot] = set()
         self._calls: set[asyncio.Timeout] = set()
         self._freshness = Freshness()  # of all its commands that tell when they were sent
+        self.on_left: Callable[[], object] | None = None  # called once it has left
 
     # -- topics -------------------------------------------------------------------------------------------------------
 
@@ -458,3 +459,5 @@ class Participant(Node):
         self._advertised.clear()
         self._services.clear()
         self._followed.clear()
+        if self.on_left is not None:
+            self.on_left()

@@ -11,7 +11,16 @@ from functools import partial
 
 import structlog
 
-from hostlink.core.config import AUTO, MICRO_ROS, ROSSERIAL, LinkConfig, SerialConfig, TcpConfig, UdpConfig
+from hostlink.core.config import (
+    AUTO,
+    MICRO_ROS,
+    ROSSERIAL,
+    LinkConfig,
+    SerialConfig,
+    TcpConfig,
+    UdpConfig,
+    device_address,
+)
 from hostlink.core.hub.hub import Hub
 from hostlink.core.link.link import Link
 from hostlink.core.link.serving import Authenticate, LinkEnd, trust
@@ -270,8 +279,12 @@ class UdpAcceptor(_Acceptor):
     async def resume(self, ports: Sequence[UdpPort]) -> None:
         """Open a session with each device that is remembered: some of them only listen."""
         for peer in self._hub.links.memories.peers(self._protocol, "udp"):
-            host, _, number = peer.rpartition(":")
-            address = host.strip("[]"), int(number)
+            try:
+                address = device_address(peer)
+            except ValueError:
+                log.warning("boards.damaged", peer=printable(peer), reason="it is no address and port")
+                self._hub.links.memories.forget(self._protocol, "udp", peer)
+                continue
             port = next((each for each in ports if (":" in each.address[0]) == (":" in address[0])), None)
             if port is not None and address not in self._sessions and self._admission.allows(address[0]):
                 self._open(port, Datagram(b"", address, port.address))
@@ -387,7 +400,7 @@ async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None
         return error.strerror or str(error)
     hub.diagnoses.observe_port(config.name, None)
     on_open()
-    protocols, found = _protocols_of(hub, config), b""
+    protocols, found = protocols_of(hub, config), b""
     while True:
         protocol, other = protocols[0], protocols[-1]
         turn = Turn(transport, other, first=found)
@@ -411,8 +424,12 @@ async def _serve_once(hub: Hub, config: SerialConfig, on_open: Callable[[], None
         protocols.reverse()
 
 
-def _protocols_of(hub: Hub, config: SerialConfig) -> list[DeviceProtocol]:
-    """Return the protocols that take turns at a port, the likeliest first."""
+def protocols_of(hub: Hub, config: SerialConfig) -> list[DeviceProtocol]:
+    """Return the protocols that take turns at a port, the likeliest first.
+
+    Raises:
+        ConfigError: the configured one is unknown.
+    """
     names = (ROSSERIAL, MICRO_ROS) if config.protocol == AUTO else (config.protocol,)
     stream, memories = hub.config.micro_ros.velocity_stream, hub.links.memories
     protocols = [find_protocol(each, "serial", velocity_stream=stream) for each in names]

@@ -2,8 +2,10 @@
 
 import asyncio
 import struct
+import weakref
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 
 import pytest
 
@@ -51,6 +53,20 @@ async def test_handle_drives_follows_and_measures_its_robot(made: MemoryHub) -> 
     assert (state.name, standstill.state) == ("robot_0", StandstillState.UNKNOWN)
     assert standstill.reason == robot.why_unknown()
     assert velocities(device)[-1] == (0.0, 0.0)
+
+
+@inside(in_hub)
+async def test_participant_that_has_left_is_kept_nowhere(made: MemoryHub) -> None:
+    host, ends = host_of(made.hub), list[weakref.ref[object]]()
+    for _ in range(3):
+        end = Counter[str]()  # what the callback of a program refers to
+        ends.append(weakref.ref(end))
+        host.join("arm", on_end=partial(end.update, ("ended",))).leave()
+    stays = host.join("arm")
+    del end
+    assert [each() for each in ends] == [None, None, None]
+    host.close()
+    assert stays.has_left
 
 
 @inside(in_hub)

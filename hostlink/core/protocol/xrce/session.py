@@ -74,7 +74,7 @@ NAME: Final = "micro-ROS"
 CLIENTS_MAX: Final = 4  # behind one address; the id of an endpoint has two bits for them
 MTU_MIN: Final = 32  # less has no room for an answer
 QUIET_S: Final = 0.1  # a board creates its objects one after another, each within a round trip
-RESTART_SILENCE_S: Final = 1.0  # another client with this session id is the same board after a restart
+RESTART_SILENCE_S: Final = 1.0  # another client with this session id or key is the same board after a restart
 GONE_S: Final = 3.0
 KEEPALIVE_S: Final = 1.0  # after this silence a HEARTBEAT asks whether the board is alive
 KEPT_BYTES: Final = 1024  # of bytes that are in no message
@@ -853,11 +853,11 @@ class XrceSession(DeviceSession):
                 each
                 for each in self._clients.values()
                 if self._now_s - each.heard_s >= RESTART_SILENCE_S
-                and (each.session == info.session or len(self._clients) >= CLIENTS_MAX)
+                and (each.session == info.session or each.info.key == info.key or len(self._clients) >= CLIENTS_MAX)
             ]
             before = min(silent, key=_heard_s, default=None)
         if before is not None:
-            self._replaced[info.session] = before.info.key, self._now_s
+            self._replaced[before.session] = before.info.key, self._now_s
             self._remove(before)
             self.quality.restarts += 1
         elif len(self._clients) >= CLIENTS_MAX:
@@ -882,7 +882,8 @@ class XrceSession(DeviceSession):
         if now_s - client.heard_s < GONE_S:
             return False
         return any(
-            each.session == client.session and each.created_s > client.created_s for each in self._clients.values()
+            each.created_s > client.created_s and (each.session == client.session or each.info.key == client.info.key)
+            for each in self._clients.values()
         )
 
     def _delete_client(self, client: XrceClient | None) -> None:

@@ -18,7 +18,6 @@ from hostlink.core.protocol.rosserial.control import (
     encode_time,
     encode_topic_info,
 )
-from hostlink.core.protocol.rosserial.frame import Id
 from tests.support.device_codec import decode_time, encode_log, encode_parameter_request
 from tests.support.strategies import topic_infos
 
@@ -62,7 +61,7 @@ def test_malformed_names_decode_to_none(payload: bytes) -> None:
     ("kind", "is_to_device"), [(0, False), (1, True), (2, False), (3, True), (4, False), (5, True)]
 )
 def test_kind_has_its_direction(kind: int, is_to_device: bool) -> None:
-    assert INFO._replace(kind=Id(kind)).is_to_device is is_to_device
+    assert INFO._replace(kind=EndpointKind(kind)).is_to_device is is_to_device
 
 
 @given(topic_infos)

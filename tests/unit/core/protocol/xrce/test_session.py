@@ -331,6 +331,18 @@ def test_board_with_a_key_that_restarts_replaces_itself() -> None:
     assert list(here.session._clients) == [(1, b"also")]
 
 
+def test_board_that_restarts_with_another_session_replaces_itself() -> None:
+    here = connected()
+    here.run(here.now_s + 2 * RESTART_SILENCE_S)
+    again = Client(key=KEY, session=0x90)
+    here.restart_board(again, idle())
+    assert here.do(again.connect())
+    here.do(creations(again))
+    here.run(here.now_s + 5.0)
+    assert [key[0] for key in here.session._clients] == [0x90]
+    assert len(here.session.topics) == 7
+
+
 def test_call_that_waits_for_a_board_that_restarts_is_forgotten() -> None:
     here = connected()
     here.session.call("/led", REQUEST)
