@@ -47,13 +47,7 @@ VELOCITY = struct.Struct("<6d")
 SPEEDS = 9000  # a command is told by its speed, in steps of 0.1 mm/s
 STEP_M_S = 0.0001
 MANY = "[tcp]\nmax_connections = 4000\nmax_connections_per_address = 100\n"
-
-
-MANY_BOARDS = """
-[micro_ros.udp]
-port = {port}
-max_connections = 1200
-"""
+MANY_BOARDS = "[micro_ros.udp]\nport = {port}\nmax_connections = 1200\n"
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,9 @@ A component offers the robots to something outside: a broker, a cloud, a display
 """
 
 import asyncio
-import itertools
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import AbstractContextManager
-from functools import partial
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, Unpack
 
 import structlog
@@ -195,8 +193,7 @@ class Host:
         """`spawn` runs work as long as the component. `counts`, `kept` and `ready` are of all its runs."""
         self._hub, self._name, self._spawn, self._counts = hub, name, spawn, counts
         self._offers: list[object] = []
-        self._participants: dict[int, Participant] = {}  # those that have not left
-        self._numbers = itertools.count(1)
+        self._participants: dict[Participant, None] = {}  # those that have not left
         self._follower: Participant | None = None  # of poses
         self._source: ParameterSource | None = None
         self._has_clock = False
@@ -405,9 +402,8 @@ class Host:
     def _joined(self, participant: Participant) -> Participant:
         if self._has_ended:
             raise BadRequest(f"{participant.name}: the run of {self._name} has ended")
-        number = next(self._numbers)
-        self._participants[number] = participant
-        participant.on_left = partial(self._participants.pop, number, None)
+        self._participants[participant] = None
+        participant.on_left = self._participants.pop
         return participant
 
     @property
@@ -599,9 +595,8 @@ class Host:
     def close(self, *, is_resumed: bool = False) -> None:
         """End everything that the run took. Called by the daemon. `is_resumed`: another run follows."""
         self._has_ended = True
-        for participant in list(self._participants.values()):
+        for participant in list(self._participants):
             participant.leave()
-        self._participants.clear()
         for robots in self._remote:
             robots.close(is_resumed=is_resumed)
         if self._here is not None:

@@ -66,7 +66,7 @@ class Participant(Node):
         self._followed: set[AnyRobot] = set()
         self._calls: set[asyncio.Timeout] = set()
         self._freshness = Freshness()  # of all its commands that tell when they were sent
-        self.on_left: Callable[[], object] | None = None  # called once it has left
+        self.on_left: Callable[[Participant], object] | None = None  # called once it has left
 
     # -- topics -------------------------------------------------------------------------------------------------------
 
@@ -460,4 +460,4 @@ class Participant(Node):
         self._services.clear()
         self._followed.clear()
         if self.on_left is not None:
-            self.on_left()
+            self.on_left(self)

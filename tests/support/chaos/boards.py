@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from tests.support import xrce_board as board
 from tests.support.chaos.connection import WAYS, Connection, reading
-from tests.support.chaos.devices import quietly, together
+from tests.support.chaos.devices import one_after_another, together
 from tests.support.chaos.names import CLASHING_NAMES, MESSAGE_TYPES, payload_of
 from tests.support.chaos.plan import Action
 from tests.support.chaos.stage import Stage
@@ -108,10 +108,7 @@ async def board_churn(stage: Stage, action: Action) -> None:
                 await connection.send(codec.encode(message))
             await connection.receive_until(b"\xff", own.choice((0.0, 0.1, 0.3)))
 
-    async with asyncio.TaskGroup() as tasks:
-        for number in itertools.count():
-            tasks.create_task(quietly(one, number, action.dice_of(number)))
-            await asyncio.sleep(1 / rate_hz)
+    await one_after_another(action, one, rate_hz)
 
 
 # -- floods: each gives messages without end --------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import random
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -99,12 +100,7 @@ async def churn(stage: Stage, action: Action) -> None:
                 await introduce(connection, hello)
                 await connection.receive_until(b"\xff", own.choice((0.0, 0.1, 0.3)))
 
-    number = 0
-    async with asyncio.TaskGroup() as tasks:
-        while True:
-            tasks.create_task(quietly(one, number, action.dice_of(number)))
-            number += 1
-            await asyncio.sleep(1 / rate_hz)
+    await one_after_another(action, one, rate_hz)
 
 
 async def silent(stage: Stage, action: Action) -> None:
@@ -150,6 +146,16 @@ async def together(action: Action, one: Callable[[int, random.Random], Awaitable
     async with asyncio.TaskGroup() as tasks:
         for number in range(count):
             tasks.create_task(quietly(one, number, action.dice_of(number)))
+
+
+async def one_after_another(
+    action: Action, one: Callable[[int, random.Random], Awaitable[None]], rate_hz: float
+) -> None:
+    """Begin another one at this rate, without end, each with its own dice."""
+    async with asyncio.TaskGroup() as tasks:
+        for number in itertools.count():
+            tasks.create_task(quietly(one, number, action.dice_of(number)))
+            await asyncio.sleep(1 / rate_hz)
 
 
 async def quietly(work: Callable[..., Awaitable[None]], *arguments: Any) -> None:
