@@ -35,7 +35,7 @@ from hostlink.components.ros2.plan import (
     VelocityInput,
     publisher_qos,
 )
-from hostlink.components.ros2.velocity import VelocityDriver
+from hostlink.components.ros2.velocity import Sent, VelocityDriver
 from hostlink.core.messages.ros2_names import ros1_type, ros2_type
 from hostlink.core.mirror.inbox import ThreadInbox
 from hostlink.core.robot.velocity import Twist
@@ -195,10 +195,7 @@ class Routes:
             async with self._node.subscription(route.topic, cls, COMMANDS, receive, is_raw=False):
                 async for message, info, came_s in inbox:
                     twist = _twist(message.twist if is_stamped else message)
-                    is_first = info.get("publication_sequence_number") == 1
-                    sent_s = int(info.get("source_timestamp") or 0) / NS_PER_S or None
-                    who = sender(route, info)
-                    self._velocity.receive(route, twist, who, came_s=came_s, sent_s=sent_s, is_first=is_first)
+                    self._velocity.receive(route, twist, sender(route, info), came_s=came_s, sent=sent(info))
 
     async def _serve(self, route: Server) -> None:
         cls = load_type(ros2_type(route.type_name, "srv"))
@@ -247,6 +244,12 @@ def waited_s(info: Mapping[str, Any], now_ns: int) -> float:
     """Return how long a message waited until rclpy took it; 0 where the middleware does not tell when it came."""
     received_ns = int(info.get("received_timestamp") or 0)
     return max(now_ns - received_ns, 0) / NS_PER_S if received_ns > 0 else 0.0
+
+
+def sent(info: Mapping[str, Any]) -> Sent:
+    """Return what the middleware tells of a message's publication."""
+    at_ns = int(info.get("source_timestamp") or 0)
+    return Sent(at_ns / NS_PER_S if at_ns > 0 else None, info.get("publication_sequence_number"))
 
 
 def sender(route: VelocityInput, info: Mapping[str, Any]) -> bytes | str:

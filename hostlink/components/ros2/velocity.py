@@ -29,6 +29,25 @@ Connect = Callable[[], contextlib.AbstractAsyncContextManager[Host]]
 Key = bytes | str  # of a publisher: its gid, or its topic where rclpy does not say who has sent a message
 
 
+class Sent(NamedTuple):
+    """Publication of a message, as the middleware describes it; None: it does not tell.
+
+    `at_s` is a time of the publisher's own clock, `number` counts its publications on the topic from 1.
+    """
+
+    at_s: float | None = None
+    number: int | None = None
+
+    def is_after_a_pause(self, before: "Sent") -> bool:
+        """Whether the publisher paused for a lease after `before`, and published nothing between the two."""
+        if self.at_s is None or before.at_s is None or before.number is None:
+            return False
+        return self.number == before.number + 1 and self.at_s >= before.at_s + LEASE_S
+
+
+UNTOLD = Sent()
+
+
 class VelocityDriver:
     """Velocities of all topics, sent by one connection for each publisher."""
 
@@ -69,21 +88,21 @@ class VelocityDriver:
         key: Key,
         *,
         came_s: float | None = None,
-        sent_s: float | None = None,
-        is_first: bool = False,
+        sent: Sent = UNTOLD,
     ) -> None:
-        """A velocity of this publisher came on a topic `came_s`; None: now. `is_first`: of all that it published there.
+        """A velocity of this publisher came on a topic `came_s`; None: now.
 
-        One that has waited for a lease is dropped when it is sent. `sent_s` is the time of the publisher's own clock.
+        One that has waited for a lease is dropped when it is sent.
         """
         self._note_time()
         owner = self._owners.get(key) or self._add(key)
         if owner is not None:
             older = self._older.get(route.robot)
-            is_older = older is not None and not is_first and key in older.keys
+            is_older = older is not None and sent.number != 1 and key in older.keys
             older_until_s = older.until_s if older is not None and is_older else None
             came_s = asyncio.get_running_loop().time() if came_s is None else came_s
-            if not owner.is_held_back(twist, came_s, sent_s):
+            owner.note_sent(route, sent)
+            if not owner.is_held_back(twist, came_s, sent):
                 owner.receive(route, twist, came_s, older_until_s)
 
     def update(self, robots: Iterable[str], publishers: frozenset[Key]) -> None:
@@ -146,6 +165,7 @@ class _Owner:
         self.task: asyncio.Task[None] | None = None
         self._connect, self._priority, self._warn = connect, priority, warn
         self._motions: dict[VelocityInput, EarlierMotion] = {}
+        self._sent: dict[VelocityInput, Sent] = {}  # the newest of each topic
         self._waiting: dict[VelocityInput, list[_WaitingVelocity]] = {}
         self._news = asyncio.Event()
         self._refusals: defaultdict[str, Budget] = defaultdict(Budget)  # by robot
@@ -154,12 +174,18 @@ class _Owner:
         self._was_there = False
         self._free_at_s = 0.0
 
-    def is_held_back(self, twist: Twist, came_s: float, sent_s: float | None) -> bool:
+    def note_sent(self, route: VelocityInput, sent: Sent) -> None:
+        """A publisher that paused for a lease by its own clock begins anew, also soon after an interruption."""
+        if route in self._sent and sent.is_after_a_pause(self._sent[route]):
+            self._motions[route] = EarlierMotion()
+        self._sent[route] = sent
+
+    def is_held_back(self, twist: Twist, came_s: float, sent: Sent) -> bool:
         """Whether a velocity is from before an interruption: the middleware may pass it on later than a lease after.
 
         Only the seconds after an interruption count, because a publisher's clock may be set.
         """
-        late_s = 0.0 if sent_s is None else self._freshness.late_s(sent_s, came_s)
+        late_s = 0.0 if sent.at_s is None else self._freshness.late_s(sent.at_s, came_s)
         return not twist.is_zero and came_s < self._held_until_s and late_s > LEASE_S
 
     def receive(self, route: VelocityInput, twist: Twist, came_s: float, older_until_s: float | None) -> None:
@@ -185,12 +211,22 @@ class _Owner:
     def interrupt(self) -> None:
         """Discard waiting velocities: they may be old, or for another daemon."""
         self._waiting.clear()
-        now_s = asyncio.get_running_loop().time()
-        self._motions = {route: EarlierMotion.within_a_lease(now_s) for route in self._motions}
-        self._held_until_s = now_s + HELD_S
+        self._held_until_s = asyncio.get_running_loop().time() + HELD_S
+        for route in self._motions:
+            self._expect_earlier_motion(route)
+
+    def _expect_earlier_motion(self, route: VelocityInput) -> None:
+        """Take the next velocity for one of an earlier motion, unless the publisher paused.
+
+        The middleware may pass on nothing for longer than a lease, so the arrivals alone show no pause of a publisher
+        that numbers what it sends.
+        """
+        wait_s = LEASE_S if None in self._sent[route] else HELD_S
+        self._motions[route] = EarlierMotion(asyncio.get_running_loop().time() + wait_s)
 
     def end(self, route: VelocityInput) -> None:
         """The topic drives this robot no more."""
+        self._sent.pop(route, None)
         if self._motions.pop(route, None) is not None:
             now_s = asyncio.get_running_loop().time()
             self._waiting[route] = [_WaitingVelocity(route.robot, Twist(), None, now_s)]
@@ -220,10 +256,13 @@ class _Owner:
             if changes.pop_all():
                 self.interrupt()
             while self._waiting:
-                for waiting in self._waiting.pop(next(iter(self._waiting))):
+                route = next(iter(self._waiting))
+                for waiting in self._waiting.pop(route):
                     # A first command is fresh to the daemon: one that waited 2 s for its connection would drive.
                     if loop.time() < waiting.at_s + LEASE_S:
                         await self._send(host, waiting)
+                    elif waiting.epoch is not None and route in self._motions:
+                        self._expect_earlier_motion(route)  # the daemon was not told by this one
 
     async def _send(self, host: Host, waiting: _WaitingVelocity) -> None:
         """A zero is sent at once, another when the daemon's limit allows it."""

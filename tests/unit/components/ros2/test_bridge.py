@@ -15,6 +15,7 @@ from hostlink.components.gateway.rosapi import describe
 from hostlink.components.graphs.ros2_qos import COMMANDS, Qos
 from hostlink.components.ros2.bridge import FIRST_RETRY_S, Bridge, write_line
 from hostlink.components.ros2.plan import Ros2Graph, Ros2Publisher, publisher_qos
+from hostlink.components.ros2.velocity import Sent
 from hostlink.errors import HostlinkError
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
@@ -228,9 +229,8 @@ class FakeDriver:
 
     def __init__(self) -> None:
         self.robots: list[str] = []
-        self.received: list[tuple[str, tuple[float, ...], object, bool]] = []
+        self.received: list[tuple[str, tuple[float, ...], object, Sent]] = []
         self.came_s: list[float] = []
-        self.sent_s: list[float | None] = []
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -242,12 +242,9 @@ class FakeDriver:
     def update(self, robots: Iterable[str], _keys: object) -> None:
         self.robots = list(robots)
 
-    def receive(
-        self, route: Any, twist: Any, key: object, *, came_s: float, sent_s: float | None, is_first: bool
-    ) -> None:
+    def receive(self, route: Any, twist: Any, key: object, *, came_s: float, sent: Sent) -> None:
         self.came_s.append(came_s)
-        self.sent_s.append(sent_s)
-        self.received.append((route.robot, tuple(twist), key, is_first))
+        self.received.append((route.robot, tuple(twist), key, sent))
 
 
 class World:
@@ -306,10 +303,9 @@ def test_velocity_of_ros_2_reaches_the_driver_while_the_daemon_has_the_robot() -
         await asyncio.sleep(0.1)
         fresh, old = world.driver.came_s
         assert 1.9 < fresh - old < 3.0
-        assert world.driver.sent_s == [None, 5.5]
         assert world.driver.received == [
-            ("robot_0", (0.2, 0.0, 0.0, 0.0, 0.0, -0.5), "/robot_0/cmd_vel", True),
-            ("robot_0", (0.0, 0.1, 0.0, 0.0, 0.0, 0.0), b"\7\b", False),
+            ("robot_0", (0.2, 0.0, 0.0, 0.0, 0.0, -0.5), "/robot_0/cmd_vel", Sent(None, 1)),
+            ("robot_0", (0.0, 0.1, 0.0, 0.0, 0.0, 0.0), b"\7\b", Sent(5.5, None)),
         ]
         assert world.driver.robots == ["robot_0"]
         await world.show()

@@ -9,8 +9,16 @@ import pytest
 
 from hostlink.client import Refusal
 from hostlink.components.ros2.plan import TWIST, VelocityInput
-from hostlink.components.ros2.velocity import MATCH_S, MAX_COMMANDS_S, MAX_OWNERS, STALL_S, VelocityDriver
-from hostlink.core.robot.admission import EARLIER_EPOCH
+from hostlink.components.ros2.velocity import (
+    HELD_S,
+    MATCH_S,
+    MAX_COMMANDS_S,
+    MAX_OWNERS,
+    STALL_S,
+    Sent,
+    VelocityDriver,
+)
+from hostlink.core.robot.admission import EARLIER_EPOCH, LEASE_S
 from hostlink.core.robot.velocity import Twist
 from hostlink.core.runtime.log_budget import LOG_INTERVAL_S
 from hostlink.errors import HostlinkError
@@ -46,6 +54,7 @@ class FakeRobot:
         epoch: int | None = None,
         is_planar: bool = True,
     ) -> None:
+        await asyncio.sleep(self.daemon.sending_s)
         if self.daemon.is_lost:
             raise HostlinkError("the connection is lost")
         if not is_planar:
@@ -82,7 +91,7 @@ class FakeDaemon:
         self.hosts: list[FakeHost] = []
         self.ended = 0
         self.is_lost = False
-        self.connecting_s = 0.01
+        self.connecting_s, self.sending_s = 0.01, 0.0
         self.refusal: Refusal | None = None
 
     @contextlib.asynccontextmanager
@@ -280,7 +289,7 @@ async def test_publisher_of_before_whose_motion_begins_now_has_no_earlier_epoch(
         world.driver.update(["robot_0"], frozenset({b"a"}))
         if not is_first:
             await asyncio.sleep(MATCH_S + 1.0)
-        world.driver.receive(ROUTE, FORWARD, b"a", is_first=is_first)
+        world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(5.0, 1 if is_first else 7))
         await asyncio.sleep(0.1)
     assert world.epochs() == [None]
 
@@ -357,20 +366,80 @@ async def test_velocities_that_the_middleware_held_meanwhile_drive_nothing_howev
     world, loop = World(), asyncio.get_running_loop()
     async with world.driver.running():
         for _ in range(3):
-            world.driver.receive(ROUTE, FORWARD, b"a", sent_s=loop.time() + 1000.0)
+            world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(loop.time() + 1000.0))
             await asyncio.sleep(0.1)
         held_s = loop.time() + 1000.0
         burn(2.0)
         before = len(world.daemon.commands)
         for _ in range(3):  # the second one is taken after the lease of the first
-            world.driver.receive(ROUTE, FORWARD, b"a", sent_s=held_s)
+            world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(held_s))
             await asyncio.sleep(STALL_S - 0.1)
         assert world.daemon.commands[before:] == []
-        world.driver.receive(ROUTE, Twist(), b"a", sent_s=held_s)
+        world.driver.receive(ROUTE, Twist(), b"a", sent=Sent(held_s))
         await asyncio.sleep(0.1)
-        world.driver.receive(ROUTE, FORWARD, b"a", sent_s=loop.time() + 1000.0)
+        world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(loop.time() + 1000.0))
         await asyncio.sleep(0.1)
         assert [twist for _, twist, _ in world.daemon.commands[before:]] == [Twist(), FORWARD]
+
+
+@pytest.mark.parametrize(
+    ("silent_s", "missing", "epoch"),
+    [
+        pytest.param(LEASE_S + 0.2, 0, None, id="paused"),
+        pytest.param(LEASE_S + 0.2, 3, EARLIER_EPOCH, id="the middleware lost what came between"),
+        pytest.param(HELD_S + 0.2, 3, None, id="long after"),
+    ],
+)
+@virtual
+async def test_arrivals_show_no_pause_of_a_publisher_after_the_bridge_stood_still(
+    silent_s: float, missing: int, epoch: int | None
+) -> None:
+    """The middleware passes on nothing for longer than a lease, and the publisher's numbers say whether it paused."""
+    world, loop = World(), asyncio.get_running_loop()
+    async with world.driver.running():
+        world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(loop.time() + 1000.0, 1))
+        await asyncio.sleep(0.1)
+        burn(STALL_S + 0.1)
+        await asyncio.sleep(silent_s)
+        before = len(world.daemon.commands)
+        world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(loop.time() + 1000.0, 2 + missing))
+        await asyncio.sleep(0.1)
+        assert world.epochs(before) == [epoch]
+
+
+@virtual
+async def test_stream_whose_held_velocities_took_a_lease_to_arrive_is_the_stream_from_before() -> None:
+    world, loop = World(), asyncio.get_running_loop()
+    async with world.driver.running():
+        began_s = loop.time() + 1000.0
+        world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(began_s, 1))
+        await asyncio.sleep(0.1)
+        burn(2.0)
+        before = len(world.daemon.commands)
+        for number in range(2, 20):  # the middleware passes them on one after another
+            world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(began_s + 0.1 * number, number))
+            await asyncio.sleep(0.05)
+        world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(loop.time() + 1000.0, 30))
+        await asyncio.sleep(0.1)
+        assert world.epochs(before)[:1] == [EARLIER_EPOCH]
+
+
+@virtual
+async def test_stream_from_before_is_known_although_its_first_velocity_waited_too_long_to_be_sent() -> None:
+    world, loop = World(), asyncio.get_running_loop()
+    async with world.driver.running():
+        await world.stream(FORWARD, for_s=0.2)
+        world.daemon.sending_s = STALL_S + LEASE_S + 0.2
+        world.driver.receive(ROUTE, FORWARD, b"a")  # the connection takes nothing meanwhile
+        await asyncio.sleep(0.01)
+        burn(STALL_S + 0.1)
+        world.driver.receive(ROUTE, FORWARD, b"a")
+        world.daemon.sending_s = 0.0
+        await asyncio.sleep(LEASE_S + 0.2)
+        before = len(world.daemon.commands)
+        world.driver.receive(ROUTE, FORWARD, b"a", came_s=loop.time())
+        await asyncio.sleep(0.1)
+        assert world.epochs(before) == [EARLIER_EPOCH]
 
 
 @virtual
@@ -378,6 +447,6 @@ async def test_publisher_whose_clock_is_set_back_drives_on() -> None:
     world, loop = World(), asyncio.get_running_loop()
     async with world.driver.running():
         for clock_s in (1000.0, -5000.0):
-            world.driver.receive(ROUTE, FORWARD, b"a", sent_s=loop.time() + clock_s)
+            world.driver.receive(ROUTE, FORWARD, b"a", sent=Sent(loop.time() + clock_s))
             await asyncio.sleep(0.1)
     assert world.daemon.commands == [("robot_0", FORWARD, None)] * 2
