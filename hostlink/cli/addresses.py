@@ -16,26 +16,36 @@ LOWEST_BAUD = 300
 MAX_DIGITS = 9  # of a port or a baud rate; Python refuses to read a number of thousands
 
 
-def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
+def parse_address(option: str, text: str, default_host: str, *, example: str = "192.168.4.1:11411") -> tuple[str, int]:
     """Return the host and the port of `HOST:PORT`, `PORT`, `:PORT` or `[::1]:PORT`.
 
     Raises:
-        ConfigError: `text` has another form; the error begins with `option`.
+        ConfigError: `text` has another form; the error begins with `option`, and ends with `example`.
     """
-    host, _, port = text.rpartition(":")
-    if not _is_number(port) or int(port) > MAX_PORT:
-        raise _not_an_address(option, text)
-    try:
-        host.encode("idna")
-    except UnicodeError as error:  # an empty label, or one of more than 63 characters
-        raise _not_an_address(option, text) from error
+    host, colon, port = text.rpartition(":")
+    if text.startswith("/dev/") or text.upper().startswith("COM"):
+        raise ConfigError(option, f"{text!r} is not HOST:PORT; a serial port is --serial /dev/ttyUSB0")
+    problem = _problem(host, colon, port)
+    if problem is not None:
+        raise ConfigError(option, f"{text!r} is not HOST:PORT: {problem}; an example: {example}")
     return host.strip("[]") or default_host, int(port)
 
 
-def _not_an_address(option: str, text: str) -> ConfigError:
-    is_serial = text.startswith("/dev/") or text.upper().startswith("COM")
-    step = "a serial port is --serial /dev/ttyUSB0" if is_serial else "an example: 192.168.4.1:11411"
-    return ConfigError(option, f"{text!r} is not HOST:PORT; {step}")
+def _problem(host: str, colon: str, port: str) -> str | None:
+    """Return what is wrong with the parts of HOST:PORT; None: nothing."""
+    if not port or not (colon or _is_number(port)):
+        return "the port is missing"
+    if not _is_number(port):
+        return f"the port {port!r} is not a number"
+    if int(port) > MAX_PORT:
+        return f"the highest port is {MAX_PORT}"
+    if host.startswith("[") != host.endswith("]"):
+        return "a bracket is missing"
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        return "the host has an empty part, or one of more than 63 characters"
+    return None
 
 
 def parse_serial(text: str) -> SerialConfig:

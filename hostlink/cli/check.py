@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from hostlink.cli.output import quantity
 from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS
 from hostlink.core.components import chosen_components
-from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, is_place
+from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, check_ports, is_place
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.parameters import to_parameter
 from hostlink.core.hub.robot_settings import check_command, drive_in, encoders_lack, frames_of, lacking
@@ -203,6 +203,7 @@ def _check_values(config: Config) -> None:
     for where, port in ports.items():
         if not 0 <= port <= MAX_PORT:
             raise ConfigError(where, f"{port} is not a port; choose 0 (any free one) to {MAX_PORT}")
+    check_ports(config)
     for where, number in _positive(config):
         if number is not None and not 0 < number < math.inf:
             raise ConfigError(where, f"{number:g} is not allowed; choose a finite number above 0")

@@ -247,11 +247,11 @@ def _with_port(config: MicroRosConfig, url: str) -> MicroRosConfig:
     scheme, _, address = url.partition("://")
     if scheme == "udp":
         udp = MicroRosUdpConfig() if config.udp is None else config.udp
-        host, port = parse_address("--micro-ros", address, udp.host)
+        host, port = parse_address("--micro-ros", address, udp.host, example="udp://0.0.0.0:8888")
         return dataclasses.replace(config, udp=dataclasses.replace(udp, host=host, port=port))
     if scheme == "tcp":
         tcp = MicroRosTcpConfig() if config.tcp is None else config.tcp
-        host, port = parse_address("--micro-ros", address, tcp.host)
+        host, port = parse_address("--micro-ros", address, tcp.host, example="tcp://0.0.0.0:8888")
         return dataclasses.replace(config, tcp=dataclasses.replace(tcp, host=host, port=port))
     step = "a serial port is --serial /dev/ttyUSB0@115200; an example of this option: udp://0.0.0.0:8888"
     raise ConfigError("--micro-ros", f"{url!r} is not udp://HOST:PORT or tcp://HOST:PORT; {step}")

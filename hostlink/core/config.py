@@ -26,6 +26,7 @@ MAX_FILE_BYTES = 64 * 1024 * 1024  # 20,000 robots need two; a device file such 
 MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
 
 
+_EVERY_ADDRESS = ("0.0.0.0", "::", "")  # noqa: S104 - compared with
 _OF_TABLES = "component_settings"  # field of `Config`, not a key of the file
 
 ParameterScalar = bool | int | float | str
@@ -47,8 +48,7 @@ class TcpConfig:
     mdns: bool = False  # advertise this port in the local network as _rosserial._tcp
 
     def __post_init__(self) -> None:
-        for network in (*self.allow, *self.keyless):
-            ipaddress.ip_network(network)  # raises ValueError with its name
+        _check_networks(allow=self.allow, keyless=self.keyless)
         if min(self.max_connections, self.max_connections_per_address) < 1:
             raise ValueError("a bound on connections must be at least 1")
 
@@ -69,8 +69,7 @@ class UdpConfig:
     protocol: str = "rosserial"
 
     def __post_init__(self) -> None:
-        for network in (*self.allow, *self.trusted, *self.keyless):
-            ipaddress.ip_network(network)  # raises ValueError with its name
+        _check_networks(allow=self.allow, trusted=self.trusted, keyless=self.keyless)
         if self.max_connections < 2 or self.max_connections_per_address < 1:  # noqa: PLR2004 - each kind has its half
             raise ValueError("max_connections must be at least 2, max_connections_per_address 1")
         self.device_addresses()
@@ -245,8 +244,7 @@ class Ros1Config:
     remappings: dict[str, str] = field(default_factory=dict)  # of topics and services
 
     def __post_init__(self) -> None:
-        for network in self.allow:
-            ipaddress.ip_network(network)  # raises ValueError with its name
+        _check_networks(allow=self.allow)
         if self.master and not _is_master(self.master):
             raise ValueError(f"{self.master!r} is not the address of a ROS master, such as http://localhost:11311")
         if not re.fullmatch(r"[A-Za-z]\w*", self.name, re.ASCII):
@@ -751,8 +749,37 @@ def device_address(text: str) -> tuple[str, int]:
     """
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or not 0 < int(port) <= MAX_PORT:
-        raise ValueError(f"udp.devices: {text!r} is not HOST:PORT")
+        raise ValueError(f"{text!r} is not HOST:PORT of a device, such as 192.168.4.7:11411")
     return str(ipaddress.ip_address(host.strip("[]"))), int(port)
+
+
+def _check_networks(**settings: tuple[str, ...]) -> None:
+    """Check that each entry of these settings is an address or a network.
+
+    Raises:
+        ValueError: an entry is something else.
+    """
+    for key, networks in settings.items():
+        for network in networks:
+            try:
+                ipaddress.ip_network(network)
+            except ValueError as error:
+                raise ValueError(f"{key}: {error}; write an address, or a network such as 192.168.4.0/24") from error
+
+
+def check_ports(config: Config) -> None:
+    """Check that no two listeners for devices have one port.
+
+    Raises:
+        ConfigError: two have.
+    """
+    boards = config.micro_ros
+    for kind, first, second in (("tcp", config.tcp, boards.tcp), ("udp", config.udp, boards.udp)):
+        if first is None or second is None or first.port != second.port or not first.port:
+            continue
+        if first.host == second.host or not {first.host, second.host}.isdisjoint(_EVERY_ADDRESS):
+            problem = f"{kind.upper()} port {second.port} is that of [{kind}], too; give each its own"
+            raise ConfigError(f"micro_ros.{kind}.port", problem)
 
 
 def _is_master(text: str) -> bool:

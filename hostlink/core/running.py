@@ -9,7 +9,7 @@ from socket import socket
 from time import thread_time
 
 from hostlink.core.components import Make, begun, begun_first, chosen_components, hosted
-from hostlink.core.config import Config, MicroRosConfig, UdpConfig
+from hostlink.core.config import Config, MicroRosConfig, UdpConfig, check_ports
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.host import Host
 from hostlink.core.hub.gates import Guard
@@ -81,6 +81,7 @@ async def running(
     robots were stopped. `on_listening` is called when every port is open. `listening` are the sockets for devices, if
     they are open already.
     """
+    check_ports(config)
     chosen = chosen_components(config, usual)
     folders = config.message_folders  # one may be on a dead disk: the loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))

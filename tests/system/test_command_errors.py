@@ -70,6 +70,10 @@ run_until_interrupted(work())
         ("plot x.mcap", "plot: name fields, for example /robot_0/odometry.x, or use --map\n"),
         ("plot x.mcap /x.y --map", "plot: --map draws paths instead of fields; leave the fields or --map out\n"),
         ("serve --listen nonsense", "--listen: 'nonsense' is not HOST:PORT"),
+        (
+            "serve --udp 8888 --micro-ros udp://8888",
+            "micro_ros.udp.port: UDP port 8888 is that of [udp], too; give each",
+        ),
         ("serve --serial /dev/x@fast", "--serial: '/dev/x@fast' is not PORT or PORT@BAUD"),
         ("serve --listen COM3", "--listen: 'COM3' is not HOST:PORT; a serial port is --serial /dev/ttyUSB0"),
         ("drive robot_0 0.2", "teleop: the keys drive, and the speeds are options"),

@@ -13,7 +13,9 @@ from hostlink.core.runtime.stop_frames import StopFrames
 STALE_BYTES = 128  # one turn of a robot's loop at 38400 baud: the most that the daemon's pacing leaves in a serial port
 READ_BYTES = 65536
 DATAGRAM_BYTES = 1024  # of one write over UDP: no network fragments it
-ANSWERING_S = 0.4  # a device is answered for so long: a zero and its answer may be lost
+# A board waits for 0.1 s in each turn of its loop in which a message is lost, and takes one velocity a turn. Four may
+# wait in front of the zero.
+ANSWERING_S = 1.0
 PEEKED = 64  # datagrams of a device that are looked at in one turn
 _PEEK = _socket.MSG_PEEK | _socket.MSG_DONTWAIT
 _SO_PEEK_OFF = 42  # Linux: each look continues behind the one before

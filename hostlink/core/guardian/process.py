@@ -10,7 +10,7 @@ import select
 import sys
 import time
 
-from hostlink.core.guardian.connection import GuardedConnection
+from hostlink.core.guardian.connection import ANSWERING_S, GuardedConnection
 from hostlink.core.guardian.frames import ZEROS
 from hostlink.core.guardian.records import (
     BEAT,
@@ -29,7 +29,7 @@ from hostlink.core.runtime.stop_frames import INTERVAL_S
 HANG_S = 1.0  # after the last beat while a robot is driven; the daemon sends one every 0.2 s
 HOLD_POLL_S = 0.01  # while a device does not read
 LINGER_S = 0.5  # after the last byte: a device may read all of it before its connection is closed
-END_S = ZEROS * INTERVAL_S + LINGER_S
+END_S = max(ZEROS * INTERVAL_S + LINGER_S, ANSWERING_S)
 POLL_S = 0.01  # interval of the check whether a serial port has sent everything: the kernel sends no event
 OOM_SCORE = b"-1000"  # the kernel kills other processes first; needs a privilege
 NAME = b"guardian"  # shown by ps and top

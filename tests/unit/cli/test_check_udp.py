@@ -9,7 +9,17 @@ import pytest
 
 from hostlink.cli.check import FEWEST, check, describe, fitted
 from hostlink.cli.serve_command import merge
-from hostlink.core.config import ApiConfig, Config, TcpConfig, UdpConfig, load
+from hostlink.core.config import (
+    ApiConfig,
+    Config,
+    MicroRosConfig,
+    MicroRosTcpConfig,
+    MicroRosUdpConfig,
+    TcpConfig,
+    UdpConfig,
+    check_ports,
+    load,
+)
 from hostlink.errors import ConfigError
 
 QUIET = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0), guardian=False)
@@ -46,8 +56,8 @@ def test_networks_that_need_no_key_where_there_is_none_are_suspicious() -> None:
     ("settings", "problem"),
     [
         ("prot = 1", "unknown key udp.prot; did you mean port?"),
-        ('allow = ["10.0.0.1/8"]', "10.0.0.1/8 has host bits set"),
-        ('trusted = ["wifi"]', "'wifi' does not appear to be"),
+        ('allow = ["10.0.0.1/8"]', "allow: 10.0.0.1/8 has host bits set"),
+        ('trusted = ["wifi"]', "trusted: 'wifi' does not appear to be"),
         ('devices = ["10.0.0.1"]', "'10.0.0.1' is not HOST:PORT"),
         ("max_connections = 1", "max_connections must be at least 2"),
     ],
@@ -75,8 +85,37 @@ def test_udp_option_takes_precedence_and_keeps_other_settings_of_the_file() -> N
 
 @pytest.mark.parametrize("text", ["", "udp", "1:", "127.0.0.1:port", "70000"])
 def test_udp_option_that_is_not_an_address_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"^--udp: .* is not HOST:PORT; an example"):
+    with pytest.raises(ConfigError, match=r"^--udp: .* is not HOST:PORT: .*; an example"):
         merge(Config(), udp=text)
+
+
+@pytest.mark.parametrize(
+    ("config", "problem"),
+    [
+        pytest.param(
+            Config(udp=UdpConfig(port=8888), micro_ros=MicroRosConfig(udp=MicroRosUdpConfig())),
+            "micro_ros.udp.port: UDP port 8888 is that of [udp], too; give each its own",
+            id="UDP",
+        ),
+        pytest.param(
+            Config(tcp=TcpConfig(port=8888), micro_ros=MicroRosConfig(tcp=MicroRosTcpConfig())),
+            "micro_ros.tcp.port: TCP port 8888 is that of [tcp], too; give each its own",
+            id="TCP",
+        ),
+    ],
+)
+def test_two_listeners_for_devices_with_one_port_are_refused(config: Config, problem: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        asyncio.run(check(config, descriptors=2048))
+    assert str(refused.value) == problem
+
+
+@pytest.mark.parametrize(
+    ("host", "port"), [pytest.param("127.0.0.2", 8888, id="another address"), pytest.param("0.0.0.0", 0, id="any port")]
+)
+def test_listeners_for_devices_may_share_a_port_at_different_addresses(host: str, port: int) -> None:
+    boards = MicroRosConfig(udp=MicroRosUdpConfig(port=port))
+    check_ports(Config(udp=UdpConfig(host=host, port=port), micro_ros=boards))
 
 
 @pytest.mark.parametrize("descriptors", [FEWEST, 200, 500, 1024, 2048])

@@ -84,7 +84,11 @@ def test_every_part_is_read(tmp_path: Path) -> None:
             'on_open = "reset" needs dtr = true - at `$.serial[0]`',
         ),
         ("[[serial]]\npath = 'x'\non_open = 'jump'", "Invalid enum value 'jump' - at `$.serial[0].on_open`"),
-        ("[tcp]\nallow = ['192.168.4.2/24']", "192.168.4.2/24 has host bits set - at `$.tcp`"),
+        (
+            "[tcp]\nallow = ['192.168.4.2/24']",
+            "allow: 192.168.4.2/24 has host bits set; write an address, or a network such as 192.168.4.0/24"
+            " - at `$.tcp`",
+        ),
         ("[tcp]\nmax_connections = 0", "a bound on connections must be at least 1 - at `$.tcp`"),
         ("[link]\nmax_topics = 0", "max_topics must be at least 1, forget_robot_after_s zero or more - at `$.link`"),
         ("x = [", "is not TOML: Invalid value (at end of document)"),

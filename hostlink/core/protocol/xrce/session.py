@@ -630,11 +630,15 @@ class XrceSession(DeviceSession):
 
     def _check_room(self, client: XrceClient, endpoint: DeviceEndpoint, content: bytes) -> None:
         if len(content) > self.room_bytes(endpoint):
-            error = FrameTooLarge(endpoint.name, len(content), self.room_bytes(endpoint))
-            self.too_large = str(error)
-            raise error
+            raise self._too_large(endpoint, len(content), self.room_bytes(endpoint))
         if endpoint.kind is EndpointKind.SUBSCRIBER:
             self._check_prompt(endpoint, len(content) + client.header_bytes + SUBHEADER_BYTES + REQUEST_BYTES)
+
+    def _too_large(self, endpoint: DeviceEndpoint, size_bytes: int, room_bytes: int) -> FrameTooLarge:
+        """Return the error of a message that the board has no room for, and keep its text for the findings."""
+        error = FrameTooLarge(endpoint.name, size_bytes, room_bytes)
+        self.too_large = str(error)
+        return error
 
     def _check_prompt(self, endpoint: DeviceEndpoint, size_bytes: int) -> None:
         """Raise FrameTooLarge if a message would delay a stop."""
@@ -646,7 +650,7 @@ class XrceSession(DeviceSession):
         data = encode_data(client.request_of(object_id(endpoint)), object_id(endpoint), content)
         message = client.message(self._velocity_stream, data)
         if len(message) > client.mtu:
-            raise FrameTooLarge(endpoint.name, len(message), client.mtu)
+            raise self._too_large(endpoint, len(message), client.mtu)
         return message
 
     def _drop_samples(self, client: XrceClient, endpoint: DeviceEndpoint) -> None:

@@ -624,6 +624,7 @@ def test_velocity_that_fits_no_message_is_refused() -> None:
     here = connected(Client(key=KEY, mtu=60))
     with pytest.raises(FrameTooLarge):
         here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    assert "/cmd_vel" in here.session.too_large
 
 
 def test_payload_that_is_not_of_the_type_is_refused_on_both_sides() -> None:
