@@ -109,6 +109,11 @@ class AnyRobot(VelocityTarget):
     def why_unknown(self) -> str:
         """Return the reason why odometry does not show whether the robot is stopped."""
 
+    @property
+    def answer_s(self) -> float:
+        """Seconds that the robot's device took to answer the host; 0 if that is not known, and for a remote robot."""
+        return 0.0
+
     def measured(self, now_s: float) -> OdometrySnapshot | None:
         """Return the newest odometry if it is recent enough to show whether the robot moves; else None."""
         odometry = self.odometry.snapshot(now_s)

@@ -195,6 +195,11 @@ class LocalRobot(Drivable, AnyRobot):
             velocities=(each.gate.current for each in self.beside),
         )
 
+    @property
+    def answer_s(self) -> float:
+        """Seconds that the robot's device took to answer the host; 0 if that is not known."""
+        return 0.0 if self.link is None else self.link.session.device_clock.answer_s or 0.0
+
     def why_unknown(self) -> str:
         """Return the reason why odometry does not show whether the robot is stopped."""
         link = self.link

@@ -34,7 +34,7 @@ class Standstills:
             reason = "too many stops are measured at once"
             return [Standstill(StandstillState.UNKNOWN, reason=reason) for _ in robots]
         self._watched += len(robots)
-        watches = [(robot, StopWatch(since_s)) for robot in robots]
+        watches = [(robot, StopWatch(since_s, robot.answer_s)) for robot in robots]
         until_s = since_s + wait_s
         try:
             while True:

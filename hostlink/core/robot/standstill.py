@@ -18,6 +18,7 @@ from hostlink.core.runtime.compiled import mypyc_attr
 STILL_M_S = 0.005  # motion of a stopped robot by noise
 STILL_RAD_S = 0.02
 STEADY_S = 0.08  # two poses at 10 Hz, with their jitter: a robot that reverses is still in one pose
+LONGEST_ANSWER_S = 0.5  # a device that was just switched on took longer for its first answer than it does later
 PATIENCE_S = 1.0  # a heavy robot has begun to move by then
 OLD_S = 1.0  # odometry is published ten times a second and more
 
@@ -79,12 +80,15 @@ def sentence(robot: str, measured: Standstill) -> str:
 
 
 class StopWatch:
-    """Observes the odometry of one robot from a stop at `began_s` on."""
+    """Observes the odometry of one robot from a stop at `began_s` on.
 
-    def __init__(self, began_s: float) -> None:
+    `answer_s` is the time that its device takes to answer. Odometry that arrives earlier may be from before the stop.
+    """
+
+    def __init__(self, began_s: float, answer_s: float = 0.0) -> None:
         self._began_s = began_s
         self._newest: Speeds | None = None
-        self._newest_s = began_s
+        self._newest_s = began_s + min(answer_s, LONGEST_ANSWER_S)
         self._still_since_s: float | None = None
 
     def observe(self, speeds: Speeds, received_s: float) -> None:

@@ -36,6 +36,23 @@ def test_standing_robot_is_measured_before_the_wait_is_over() -> None:
     in_hub(test)
 
 
+def test_robot_whose_device_answers_late_is_measured_after_that_time() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        sending = asyncio.get_running_loop().create_task(send_poses(device, speed_m_s=0.0))
+        await asyncio.sleep(1.0)
+        link = made.robot().link
+        assert link is not None
+        link.session.device_clock.answer_s = 0.3
+        began_s = made.now_s
+        (found,) = await made.hub.standstills.measure([made.robot()], began_s)
+        assert found.state is StandstillState.STOPPED
+        assert found.after_s > 0.3
+        sending.cancel()
+
+    in_hub(test)
+
+
 def test_moving_robot_is_reported_after_the_wait_with_its_driver() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.core.robot.standstill import (
+    LONGEST_ANSWER_S,
     NO_ODOMETRY,
     PATIENCE_S,
     STEADY_S,
@@ -52,6 +53,23 @@ def test_counts_that_tell_no_speed_tell_whether_the_robot_stands() -> None:
 @pytest.mark.parametrize("poses", [(), ((9.9, STILL), (10.0, STILL)), ((9.9, MOVING),)])
 def test_odometry_from_before_the_stop_tells_nothing(poses: tuple[tuple[float, Speeds], ...]) -> None:
     assert after(*poses) == Standstill(UNKNOWN, reason="its device is not connected")
+
+
+def test_odometry_that_left_the_device_before_it_could_have_the_stop_tells_nothing() -> None:
+    watch = StopWatch(10.0, 0.3)
+    for received_s, speeds in ((10.1, STILL), (10.2, STILL), (10.3, STILL), (10.35, MOVING)):
+        watch.observe(speeds, received_s)
+        assert not watch.is_standing
+    watch.observe(STILL, 10.4)
+    watch.observe(STILL, 10.5)
+    assert watch.result(str, str).after_s == pytest.approx(0.4)
+
+
+def test_answer_that_a_booting_device_took_seconds_for_delays_no_measurement_for_longer() -> None:
+    watch = StopWatch(10.0, 4.0)
+    watch.observe(STILL, 10.0 + LONGEST_ANSWER_S + 0.1)
+    watch.observe(STILL, 10.0 + LONGEST_ANSWER_S + 0.2)
+    assert watch.is_standing
 
 
 def test_one_pose_that_stands_still_is_not_enough_a_robot_that_reverses_has_one() -> None:
