@@ -17,7 +17,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hostlink.core.config import BlackBoxConfig, Config
+from hostlink.components.recorder.settings import BlackBoxConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.link import link
 from hostlink.core.messages.catalog import Catalog
@@ -67,7 +68,7 @@ async def measure(robots: int, turns: int) -> tuple[float, float]:
 @contextlib.asynccontextmanager
 async def crowd(robots: int, *, is_kept: bool) -> AsyncIterator[list[ScriptedDevice]]:
     """The devices of a hub, with or without a black box."""
-    config = Config(black_box=dataclasses.replace(BlackBoxConfig(), enabled=is_kept))
+    config = Config().with_tables(black_box=dataclasses.replace(BlackBoxConfig(), enabled=is_kept))
     hub = Hub(config, Catalog(), reraises=True)
     with tempfile.TemporaryDirectory() as folder:
         async with asyncio.TaskGroup() as tasks:

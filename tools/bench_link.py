@@ -19,7 +19,8 @@ import aiohttp
 
 from hostlink.cli.serve import running
 from hostlink.cli.serve_command import loop_factory
-from hostlink.core.config import ApiConfig, Config, TcpConfig
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config, TcpConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.rosserial.control import encode_topic_info
@@ -108,7 +109,7 @@ def best(work: Callable[[], None]) -> float:
 async def daemon_rows(frames: int) -> list[Row]:
     """Floods run from a process of their own, so that the daemon has a core for itself."""
     rows = []
-    config = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0))
+    config = Config(tcp=TcpConfig(host="127.0.0.1", port=0)).with_tables(api=ApiConfig(port=0))
     async with running(config) as (hub, addresses):
         host, port = addresses.tcp
         received, ratio = await hub_flood(hub, host, port, PAYLOAD, frames)

@@ -25,15 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hostlink.cli.serve import Addresses, running
 from hostlink.cli.serve_command import loop_factory
-from hostlink.core.config import (
-    ApiConfig,
-    Config,
-    MicroRosConfig,
-    MicroRosTcpConfig,
-    MicroRosUdpConfig,
-    TcpConfig,
-    UdpConfig,
-)
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config, MicroRosConfig, MicroRosTcpConfig, MicroRosUdpConfig, TcpConfig, UdpConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.messages.cdr import cdr_of
@@ -189,9 +182,10 @@ async def rows(share: float) -> list[Row]:
     """Measure the cost of a message of many boards, and of one that floods."""
     local = "127.0.0.1"
     config = Config(
-        tcp=TcpConfig(host=local, port=0), udp=UdpConfig(host=local, port=0, trusted=("127.0.0.0/8",)),
-        api=ApiConfig(port=0), micro_ros=MicroRosConfig(udp=MicroRosUdpConfig(port=0), tcp=MicroRosTcpConfig(port=0)),
-    )  # fmt: skip
+        tcp=TcpConfig(host=local, port=0),
+        udp=UdpConfig(host=local, port=0, trusted=("127.0.0.0/8",)),
+        micro_ros=MicroRosConfig(udp=MicroRosUdpConfig(port=0), tcp=MicroRosTcpConfig(port=0)),
+    ).with_tables(api=ApiConfig(port=0))
     found = []
     async with running(config) as (hub, addresses):
         for type_, topic in SENT.items():

@@ -20,7 +20,10 @@ import typer
 import hostlink.client
 from hostlink.cli.main import PANELS, build_app
 from hostlink.cli.serve import running
+from hostlink.components.gateway import settings as gateway
 from hostlink.components.mqtt import settings as mqtt
+from hostlink.components.recorder import settings as recorder
+from hostlink.components.ros1 import settings as ros1
 from hostlink.components.zenoh import settings as zenoh
 from hostlink.core import config
 from hostlink.core.runtime import logs
@@ -178,9 +181,12 @@ def client() -> Iterator[str]:
 
 
 def settings() -> Iterator[str]:
-    """Every setting, as config.py has it."""
+    """Every setting, as the modules of the settings have it."""
     yield f"# Every setting\n\nOf `hostlink.toml`: {page('configuration')}. The types are Python's; `None`: left out.\n"
     yield from tables(config, sections)
+    yield from tables(gateway, lambda _: [("`[api]`", "ApiConfig"), ("`[[api.tokens]]`", "TokenConfig")])
+    yield from tables(recorder, lambda _: [("`[recording]`", "RecordingConfig"), ("`[black_box]`", "BlackBoxConfig")])
+    yield from tables(ros1, lambda _: [("`[ros1]`", "Ros1Config")])
     yield from tables(mqtt, lambda _: [("`[mqtt]`", "MqttSettings")])
     yield from tables(zenoh, lambda _: [("`[zenoh]`", "ZenohSettings")])
 
@@ -199,6 +205,7 @@ def tables(module: ModuleType, chosen: Callable[[dict[str, ast.ClassDef]], Itera
             )
             comment = re.sub(r"noqa: \w+( - )?", "", comment)
             value = re.sub(r"field\(default_factory=(\w+)\)", r"\1()", value)
+            value = re.sub(r"field\(default=(.+), metadata=AT_ONCE\)", r"\1", value)
             annotation = ast.unparse(each.annotation)
             if not is_section(annotation, classes):
                 yield f"| `{each.target.id}` | `{cell_code(annotation)}` | `{value}` | {cell(comment)} |"
@@ -248,10 +255,8 @@ def metrics() -> Iterator[str]:
 async def scraped() -> str:
     """The text of a daemon without devices."""
     logs.configure(level="error")
-    local = config.Config(
-        tcp=config.TcpConfig(host="127.0.0.1", port=0),
-        api=config.ApiConfig(host="127.0.0.1", port=0),
-        black_box=config.BlackBoxConfig(enabled=False),
+    local = config.Config(tcp=config.TcpConfig(host="127.0.0.1", port=0)).with_tables(
+        api=gateway.ApiConfig(host="127.0.0.1", port=0), black_box=recorder.BlackBoxConfig(enabled=False)
     )
     async with (
         running(local) as (_, addresses),

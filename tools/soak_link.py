@@ -14,7 +14,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hostlink.cli.serve import running
-from hostlink.core.config import ApiConfig, Config, LinkConfig, TcpConfig
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config, LinkConfig, TcpConfig
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.runtime import logs
 from tests.support.link_report import Account
@@ -49,7 +50,9 @@ def main() -> int:
 
 async def drive(robot: NumberedRobot, script: Script, seconds: float) -> Account:
     """Commands ten times a second through the relay, odometry as often."""
-    config = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0), link=LinkConfig(uart_bytes_s=3840))
+    config = Config(tcp=TcpConfig(host="127.0.0.1", port=0), link=LinkConfig(uart_bytes_s=3840)).with_tables(
+        api=ApiConfig(port=0)
+    )
     account = Account(poses_sent=robot.sent)
     loop = asyncio.get_running_loop()
     async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:

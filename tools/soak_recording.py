@@ -21,7 +21,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import structlog
 
 from hostlink.components.recorder.recorder import TopicSelection
-from hostlink.core.config import Config, RecordingConfig
+from hostlink.components.recorder.settings import RecordingConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.messages.catalog import Catalog
 from tests.support.hosts import recordings_of
@@ -43,7 +44,7 @@ def main() -> int:
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(40))
     with tempfile.TemporaryDirectory() as folder:
         sizes = {} if arguments.file_mb is None else {"max_file_mb": arguments.file_mb}
-        config = Config(recording=RecordingConfig(folder=Path(folder), min_free_disk_mb=0.0, **sizes))
+        config = Config().with_tables(recording=RecordingConfig(folder=Path(folder), min_free_disk_mb=0.0, **sizes))
         found = asyncio.run(soak(config, arguments.robots, arguments.minutes))
     sys.stdout.write(json.dumps(found) + "\n")
     return 1 if found["dropped"] or found["grown_mib"] > GROWTH_MIB else 0

@@ -14,7 +14,8 @@ from collections import Counter
 from collections.abc import Iterator
 
 from hostlink.cli.output import quantity
-from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiConfig
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.core.components import chosen_components
 from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, check_ports, is_place
 from hostlink.core.hub.hub import Hub
@@ -71,14 +72,15 @@ def fitted(config: Config, descriptors: int) -> Config:
     room = descriptors - OWN - len(config.serial)
     others = {name: part.max_connections for name, part in _other_ports(config).items()}
     devices = config.tcp.max_connections + sum(others.values())
-    programs = config.api.max_connections if is_on(config, GATEWAY) else 0
-    nodes = config.ros1.max_connections * NODE_SHARES if config.ros1.master else 0
+    api, ros1 = config.table("api", ApiConfig), config.table("ros1", Ros1Config)
+    programs = api.max_connections if is_on(config, GATEWAY) else 0
+    nodes = ros1.max_connections * NODE_SHARES if ros1.master else 0
     if devices + programs + nodes <= room:
         return config
     if nodes:
         nodes = min(room * nodes // (devices + programs + nodes), room - (FEWEST - OWN))
-        ros1 = dataclasses.replace(config.ros1, max_connections=max(1, nodes // NODE_SHARES))
-        config, room = dataclasses.replace(config, ros1=ros1), room - nodes
+        ros1 = dataclasses.replace(ros1, max_connections=max(1, nodes // NODE_SHARES))
+        config, room = config.with_tables(ros1=ros1), room - nodes
     kept = FEWEST_DEVICES * (1 + len(others))
     programs = min(max(KEPT_FOR_REQUESTS + 1, room * programs // (devices + programs)), programs, room - kept)
     room -= programs
@@ -87,6 +89,8 @@ def fitted(config: Config, descriptors: int) -> Config:
         kept = FEWEST_DEVICES * (1 + len(others) - number)
         others[name] = min(max(FEWEST_DEVICES, room * most // devices), most, left - kept)
         left -= others[name]
+    if programs:
+        config = config.with_tables(api=dataclasses.replace(api, max_connections=programs))
     udp, boards = config.udp, config.micro_ros
     return dataclasses.replace(
         config,
@@ -97,7 +101,6 @@ def fitted(config: Config, descriptors: int) -> Config:
             udp=boards.udp and dataclasses.replace(boards.udp, max_connections=others["micro_ros.udp"]),
             tcp=boards.tcp and dataclasses.replace(boards.tcp, max_connections=others["micro_ros.tcp"]),
         ),
-        api=dataclasses.replace(config.api, max_connections=programs) if programs else config.api,
     )
 
 
@@ -140,7 +143,8 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
         warnings += [f"{'' if each.kind.tables else f'{each.name}: '}{warning}" for warning in each.make().check()]
     warnings += [] if is_listening else await _try_port("tcp", config.tcp.host, config.tcp.port)
     if is_on(config, GATEWAY):
-        warnings += await _try_port("api", config.api.host, config.api.port)
+        api = config.table("api", ApiConfig)
+        warnings += await _try_port("api", api.host, api.port)
     for name, part in _other_ports(config).items():
         if isinstance(part, UdpConfig):
             UdpAcceptor(hub, part)
@@ -153,7 +157,7 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
         sessions = "" if fits.udp is None else f", {fits.udp.max_connections} over UDP"
         warnings.append(
             f"{descriptors} descriptors (ulimit -n) are enough only for {fits.tcp.max_connections} devices{sessions} "
-            f"and {fits.api.max_connections} connections of programs"
+            f"and {fits.table('api', ApiConfig).max_connections} connections of programs"
         )
     return [*warnings, *_suspicious(config)]
 
@@ -172,9 +176,10 @@ def describe(config: Config) -> list[str]:
             lines.append(f"micro-ROS boards on {name[-3:].upper()} {where}, from {_describe_who(part)}, at most {most}")
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
     lines += [each.make().describe() for each in chosen if each.kind.begins_first]
-    if config.ros1.master:
-        node = "/".join(["", *filter(None, config.ros1.namespace.split("/")), config.ros1.name])
-        lines.append(f"node {node} of the ROS 1 master at {config.ros1.master}")
+    ros1 = config.table("ros1", Ros1Config)
+    if ros1.master:
+        node = "/".join(["", *filter(None, ros1.namespace.split("/")), ros1.name])
+        lines.append(f"node {node} of the ROS 1 master at {ros1.master}")
     for name, robot in config.robots.items():
         lines.append(f"robot {name}, {robot.address or ' and '.join(robot.devices or ()) or 'known by its topics'}")
     lines += [each.make().describe() for each in chosen if not each.kind.begins_first]
@@ -197,9 +202,10 @@ def _describe_port(port: SerialConfig) -> str:
 
 
 def _check_values(config: Config) -> None:
-    ports = {"tcp.port": config.tcp.port, "api.port": config.api.port}
+    ros1 = config.table("ros1", Ros1Config)
+    ports = {"tcp.port": config.tcp.port, "api.port": config.table("api", ApiConfig).port}
     ports |= {f"{name}.port": part.port for name, part in _other_ports(config).items()}
-    ports |= {"ros1.port": config.ros1.port, "ros1.tcpros_port": config.ros1.tcpros_port}
+    ports |= {"ros1.port": ros1.port, "ros1.tcpros_port": ros1.tcpros_port}
     for where, port in ports.items():
         if not 0 <= port <= MAX_PORT:
             raise ConfigError(where, f"{port} is not a port; choose 0 (any free one) to {MAX_PORT}")

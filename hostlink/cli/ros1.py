@@ -18,7 +18,8 @@ from hostlink.cli.serve_command import ApiAddress, ConfigFile, LogLevel, merge, 
 from hostlink.cli.settings import load
 from hostlink.cli.start import import_fast
 from hostlink.components.ros1.names import NodeArguments, parse_arguments
-from hostlink.core.config import MAX_PORT, Config, Ros1Config, SerialConfig
+from hostlink.components.ros1.settings import Ros1Config
+from hostlink.core.config import MAX_PORT, Config, SerialConfig
 from hostlink.errors import ConfigError
 
 NODE = "serial_node"
@@ -94,8 +95,9 @@ def command(
         return
     arguments = parse_arguments(words or ())
     settings = merge(load(config) if config else Config(), listen=None, serial=None, api=api, messages=messages)
-    node = node_of(settings.ros1, arguments, master=master, host=host, namespace=namespace)
-    settings = dataclasses.replace(settings, ros1=node)
+    node = settings.table("ros1", Ros1Config)
+    node = node_of(node, arguments, master=master, host=host, namespace=namespace)
+    settings = settings.with_tables(ros1=node)
     options = _PortOptions(tcp, serial, baud)
     plain = with_devices(settings, {}, arguments.others, options)  # reports wrong arguments first
     listening = [] if is_port_at_master(arguments.others, options) else open_device_port(plain.tcp)

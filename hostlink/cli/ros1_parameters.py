@@ -8,8 +8,9 @@ from typing import Any
 from hostlink.cli.output import write_error
 from hostlink.cli.serve_command import open_device_port
 from hostlink.components.ros1.names import NameResolver, joined
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.ros1.xml_rpc import BadXml, CallRefused, EarlyMaster, Unreachable
-from hostlink.core.config import Ros1Config, TcpConfig
+from hostlink.core.config import TcpConfig
 from hostlink.core.runtime.listening import close_all
 from hostlink.errors import ConfigError
 

@@ -20,6 +20,7 @@ from hostlink.cli.output import quantity, write, write_error
 from hostlink.cli.start import importing_fast
 from hostlink.cli.systemd import Notifier
 from hostlink.components.gateway.settings import ApiAddress
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.core import running as core
 from hostlink.core.components import Make, chosen_components
 from hostlink.core.config import Config
@@ -75,9 +76,10 @@ async def running(
                 yield
 
     own: dict[str, Make] = {}
-    if config.ros1.master:
+    node = config.table("ros1", Ros1Config)
+    if node.master:
         ros1 = importlib.import_module("hostlink.components.ros1.node").Ros1
-        own["ros1"] = lambda: ros1(config.ros1, on_graph_end)
+        own["ros1"] = lambda: ros1(node, on_graph_end)
     async with core.running(
         config,
         guard=guard,
@@ -87,6 +89,7 @@ async def running(
         own=own,
         on_listening=on_listening,
         listening=listening,
+        namespace=node.namespace,
     ) as (hub, devices):
         gateway = hub.offered(ApiAddress)
         api = {} if gateway is None else {"api": gateway.url}

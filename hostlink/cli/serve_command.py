@@ -20,14 +20,13 @@ from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.settings import load
 from hostlink.cli.start import import_fast
-from hostlink.components.gateway.settings import is_origin
+from hostlink.components.gateway.settings import ApiConfig, is_origin
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.core.config import (
-    ApiConfig,
     Config,
     MicroRosConfig,
     MicroRosTcpConfig,
     MicroRosUdpConfig,
-    Ros1Config,
     TcpConfig,
     UdpConfig,
 )
@@ -132,7 +131,8 @@ def command(
         if zenoh:
             settings = dataclasses.replace(settings, components=settings.components | {"zenoh": True})
         if ros1 is not None:
-            settings = dataclasses.replace(settings, ros1=with_master(settings.ros1, "--ros1", ros1))
+            node = with_master(settings.table("ros1", Ros1Config), "--ros1", ros1)
+            settings = settings.with_tables(ros1=node)
         return settings
 
     settings = read()
@@ -197,14 +197,16 @@ def allow_origins(config: Config, origins: list[str] | None) -> Config:
     Raises:
         ConfigError: a text is not an origin.
     """
-    for origin in origins or ():
+    if not origins:
+        return config
+    for origin in origins:
         if not is_origin(origin):
             raise ConfigError(
                 "--origin",
                 f"{origin} is not an origin; write the scheme and the host, for example https://app.foxglove.dev",
             )
-    api = dataclasses.replace(config.api, origins=config.api.origins + tuple(origins or ()))
-    return dataclasses.replace(config, api=api)
+    api = config.table("api", ApiConfig)
+    return config.with_tables(api=dataclasses.replace(api, origins=api.origins + tuple(origins)))
 
 
 def merge(
@@ -232,8 +234,9 @@ def merge(
     for url in micro_ros or ():
         config = dataclasses.replace(config, micro_ros=_with_port(config.micro_ros, url))
     if api is not None:
-        host, port = parse_address("--api", api, config.api.host)
-        config = dataclasses.replace(config, api=dataclasses.replace(config.api, host=host, port=port))
+        wanted_api = config.table("api", ApiConfig)
+        host, port = parse_address("--api", api, wanted_api.host)
+        config = config.with_tables(api=dataclasses.replace(wanted_api, host=host, port=port))
     ports = config.serial + tuple(parse_serial(text) for text in serial or ())
     return dataclasses.replace(config, serial=ports, message_folders=config.message_folders + tuple(messages or ()))
 

@@ -81,7 +81,8 @@ def chosen_components(config: Config, usual: Iterable[str] = ()) -> list[Chosen]
     chosen = []
     switches = dict.fromkeys(usual, True)
     switches |= ({"mdns": True} if config.tcp.mdns else {}) | config.components  # tcp.mdns is older than [components]
-    for name in sorted(config.component_settings.keys() | switches.keys()):
+    tables = config.component_settings.keys() & _entry_points().keys()
+    for name in sorted(tables | switches.keys()):
         if not switches.get(name, True) and name in _entry_points():
             continue  # what is off is not imported
         kind = find_component(name)
@@ -96,7 +97,9 @@ def _settings_of(config: Config, name: str, kind: type[AnyComponent]) -> object:
         ConfigError: it needs settings that the file does not have.
     """
     if kind.tables:
-        return kind.settings_type(**{each.name: getattr(config, each.name) for each in fields(kind.settings_type)})
+        found = {each.name: getattr(config, each.name) for each in fields(config)} | config.component_settings
+        names = found.keys() & {each.name for each in fields(kind.settings_type)}
+        return kind.settings_type(**{name: found[name] for name in names})
     settings = config.component_settings.get(name)
     if settings is None:
         try:

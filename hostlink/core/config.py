@@ -9,11 +9,10 @@ import ipaddress
 import math
 import re
 import typing
-import urllib.parse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self, TypeVar
 
 import msgspec
 
@@ -27,6 +26,8 @@ MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
 
 
 _EVERY_ADDRESS = ("0.0.0.0", "::", "")  # noqa: S104 - compared with
+Table = TypeVar("Table")
+AT_ONCE = {"is_applied_at_once": True}  # metadata of a component's setting that a reload changes without a restart
 _OF_TABLES = "component_settings"  # field of `Config`, not a key of the file
 
 ParameterScalar = bool | int | float | str
@@ -48,7 +49,7 @@ class TcpConfig:
     mdns: bool = False  # advertise this port in the local network as _rosserial._tcp
 
     def __post_init__(self) -> None:
-        _check_networks(allow=self.allow, keyless=self.keyless)
+        check_networks(allow=self.allow, keyless=self.keyless)
         if min(self.max_connections, self.max_connections_per_address) < 1:
             raise ValueError("a bound on connections must be at least 1")
 
@@ -69,7 +70,7 @@ class UdpConfig:
     protocol: str = "rosserial"
 
     def __post_init__(self) -> None:
-        _check_networks(allow=self.allow, trusted=self.trusted, keyless=self.keyless)
+        check_networks(allow=self.allow, trusted=self.trusted, keyless=self.keyless)
         if self.max_connections < 2 or self.max_connections_per_address < 1:  # noqa: PLR2004 - each kind has its half
             raise ValueError("max_connections must be at least 2, max_connections_per_address 1")
         self.device_addresses()
@@ -196,65 +197,6 @@ class LinkConfig:
     def __post_init__(self) -> None:
         if self.max_topics < 1 or not self.forget_robot_after_s >= 0:
             raise ValueError("max_topics must be at least 1, forget_robot_after_s zero or more")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TokenConfig:
-    """API token: its name and its role."""
-
-    name: str
-    role: Literal["read", "drive"] = "read"
-    token: str | None = field(default=None, repr=False)
-    token_file: Path | None = None  # alternative to `token`
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ApiConfig:
-    """API port, access and limits."""
-
-    host: str = "127.0.0.1"
-    port: int = 9090  # the default of rosbridge
-    tokens: tuple[TokenConfig, ...] = ()
-    origins: tuple[str, ...] = ()  # origins of other web pages that may use the API
-    certificate: Path | None = None  # PEM; with `key`: TLS
-    key: Path | None = None
-    max_clients: int = 256  # WebSockets and event streams at once
-    # TCP connections, including those of clients: half of the usual descriptor limit of a process.
-    max_connections: int = 512
-    max_connections_per_address: int = 320  # this computer is one address, and may have every client
-    request_timeout_s: float = 10.0  # for the head of a request, and again for its body
-    max_message_bytes: int = 1024 * 1024  # ten times the largest device frame in base64
-    max_requests_s: float = 1000.0  # per address, and per WebSocket; ten robots driven at 100 Hz
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ros1Config:
-    """Node of the daemon in a ROS 1 graph."""
-
-    master: str = ""  # "http://localhost:11311"; empty: no node
-    name: str = "hostlink"  # name of the node
-    namespace: str = "/"
-    # Name or address under which other nodes reach this one; None: its address towards the master.
-    host: str | None = None
-    port: int = 0  # of the slave API; 0: any free port
-    tcpros_port: int = 0
-    allow: tuple[str, ...] = ()  # networks from which nodes may connect; empty: all. ROS 1 has no passwords
-    max_connections: int = 256  # on each of the two ports, and to other nodes
-    max_message_bytes: int = 4 * 1024 * 1024  # from other nodes; a device's messages have a hundredth of it
-    remappings: dict[str, str] = field(default_factory=dict)  # of topics and services
-
-    def __post_init__(self) -> None:
-        _check_networks(allow=self.allow)
-        if self.master and not _is_master(self.master):
-            raise ValueError(f"{self.master!r} is not the address of a ROS master, such as http://localhost:11311")
-        if not re.fullmatch(r"[A-Za-z]\w*", self.name, re.ASCII):
-            raise ValueError(
-                f"{self.name!r} is not a valid node name; use letters, digits and _, and begin with a letter"
-            )
-        if not re.fullmatch(r"/?([A-Za-z]\w*(/[A-Za-z]\w*)*)?/?", self.namespace, re.ASCII):
-            raise ValueError(f"{self.namespace!r} is not a namespace, such as /lab")
-        if min(self.max_connections, self.max_message_bytes) < 1:
-            raise ValueError("a bound must be at least 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -600,38 +542,6 @@ class RobotConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordingConfig:
-    """Folder of recordings, and its limits."""
-
-    folder: Path | None = None  # None: the state folder of a service or of the user
-    max_disk_mb: float = 4096.0  # of all recordings; above it the oldest are removed
-    min_free_disk_mb: float = 256.0  # below it a recording ends, because a full disk harms other programs
-    max_file_mb: float = 512.0  # afterwards a new file is started
-    max_file_s: float = 3600.0
-    fsync: bool = False  # sync each second to the disk: survives a power failure, and wears out SD cards
-    drives: bool = True  # log in this folder who drove which robot, and when
-
-    def __post_init__(self) -> None:
-        if min(self.max_disk_mb, self.max_file_mb, self.max_file_s) <= 0:
-            raise ValueError("max_disk_mb, max_file_mb and max_file_s must be more than zero")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BlackBoxConfig:
-    """Black box: the last minutes of every robot, saved after an incident."""
-
-    enabled: bool = True
-    before_s: float = 120.0
-    after_s: float = 30.0
-    max_memory_mb: float = 32.0  # of all robots
-    max_disk_mb: float = 512.0  # of all incidents, in the folder of the recordings; above it the oldest are removed
-
-    def __post_init__(self) -> None:
-        if min(self.before_s, self.max_memory_mb, self.max_disk_mb) <= 0 or self.after_s < 0:
-            raise ValueError("before_s, max_memory_mb and max_disk_mb must be more than zero, after_s not less")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
     """All settings of hostlink.toml."""
 
@@ -640,13 +550,9 @@ class Config:
     micro_ros: MicroRosConfig = field(default_factory=MicroRosConfig)
     serial: tuple[SerialConfig, ...] = ()
     link: LinkConfig = field(default_factory=LinkConfig)
-    api: ApiConfig = field(default_factory=ApiConfig)
-    ros1: Ros1Config = field(default_factory=Ros1Config)
     robots: dict[str, RobotConfig] = field(default_factory=dict)
     parameters: dict[str, ParameterValue] = field(default_factory=dict)
     message_folders: tuple[Path, ...] = ()
-    recording: RecordingConfig = field(default_factory=RecordingConfig)
-    black_box: BlackBoxConfig = field(default_factory=BlackBoxConfig)
     guardian: bool = True  # run a second process that stops the robots when the daemon died or hangs
     components: dict[str, bool] = field(default_factory=dict)  # whether each component runs: docs/components.md
     component_settings: dict[str, Any] = field(default_factory=dict)  # by name, of the tables that the file has
@@ -659,11 +565,26 @@ class Config:
                     both = " and of ".join(sorted((f"robots.{name}", f"robots.{owners[place]}")))
                     raise ValueError(f"{place} is a device of {both}: remove it from one of them")
 
+    def table(self, name: str, kind: type[Table]) -> Table:
+        """Return the settings of a component's table; the default ones if the file has no such table."""
+        found = self.component_settings.get(name)
+        return kind() if found is None else typing.cast("Table", found)
 
-def load(path: Path, *, settings_type: Callable[[str], type | None] = lambda _: None) -> Config:
+    def with_tables(self, **tables: Any) -> Self:
+        """Return the settings with these tables of components."""
+        return dataclasses.replace(self, component_settings={**self.component_settings, **tables})
+
+
+def load(
+    path: Path,
+    *,
+    settings_type: Callable[[str], type | None] = lambda _: None,
+    table_names: Callable[[], Iterable[str]] = tuple,
+) -> Config:
     """Read and validate a TOML file. Paths in it are relative to its folder.
 
-    `settings_type` returns the type of a component's table by its name; None if there is no such component.
+    `settings_type` returns the type of a component's table by its name; None if no component has such a table.
+    `table_names` returns the names of the tables that components have besides those of their own names.
 
     Raises:
         ConfigError: the file cannot be read or a setting is wrong; it names file, key and the nearest known key.
@@ -683,7 +604,7 @@ def load(path: Path, *, settings_type: Callable[[str], type | None] = lambda _: 
     tables = {name: raw.pop(name) for name, kind in kinds.items() if kind is not None}
     if _OF_TABLES in raw:
         raise ConfigError(str(path), f"unknown key {_OF_TABLES}; each component has a table of its own name")
-    _refuse_unknown_keys(raw, Config, str(path), "")
+    _refuse_unknown_keys(raw, Config, str(path), "", also=table_names)
     for name, table in tables.items():
         _refuse_unknown_keys(table, kinds[name], str(path), f"{name}.")
 
@@ -753,7 +674,7 @@ def device_address(text: str) -> tuple[str, int]:
     return str(ipaddress.ip_address(host.strip("[]"))), int(port)
 
 
-def _check_networks(**settings: tuple[str, ...]) -> None:
+def check_networks(**settings: tuple[str, ...]) -> None:
     """Check that each entry of these settings is an address or a network.
 
     Raises:
@@ -782,16 +703,6 @@ def check_ports(config: Config) -> None:
             raise ConfigError(f"micro_ros.{kind}.port", problem)
 
 
-def _is_master(text: str) -> bool:
-    """Whether the text is the URL of a ROS master.
-
-    Raises:
-        ValueError: it is not a URL, or its port is invalid.
-    """
-    url = urllib.parse.urlsplit(text)
-    return url.scheme == "http" and bool(url.hostname) and url.port != 0
-
-
 @functools.cache
 def _hints(part: type) -> dict[str, Any]:
     """Type hints of a dataclass.
@@ -801,16 +712,19 @@ def _hints(part: type) -> dict[str, Any]:
     return typing.get_type_hints(part)
 
 
-def _refuse_unknown_keys(raw: Any, wanted: Any, file: str, prefix: str) -> None:
-    """Check every key of the tables that the dataclasses describe. An unknown key is an error."""
+def _refuse_unknown_keys(
+    raw: Any, wanted: Any, file: str, prefix: str, *, also: Callable[[], Iterable[str]] = tuple
+) -> None:
+    """Check every key of the tables that the dataclasses describe. An unknown key is an error, which names others."""
     if type(None) in typing.get_args(wanted):
         wanted = typing.get_args(wanted)[0]
     if dataclasses.is_dataclass(wanted) and isinstance(raw, dict):
         hints = _hints(typing.cast("type", wanted))
         for key, value in raw.items():
             if key not in hints:
-                near = difflib.get_close_matches(key, hints, n=1)
-                hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(hints))}"
+                known = sorted({*hints, *also()} - {_OF_TABLES})
+                near = difflib.get_close_matches(key, known, n=1)
+                hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
                 raise ConfigError(file, f"unknown key {prefix}{key}; {hint}")
             _refuse_unknown_keys(value, hints[key], file, f"{prefix}{key}.")
         return

@@ -72,6 +72,7 @@ async def running(
     own: Mapping[str, Make] | None = None,
     on_listening: Callable[[], None] = lambda: None,
     listening: Sequence[socket] = (),
+    namespace: str = "/",
 ) -> AsyncIterator[tuple[Hub, Addresses]]:
     """Run a hub with its listeners and components for the length of a block.
 
@@ -79,13 +80,13 @@ async def running(
     `read` reads the settings again, as a new start would. `usual` are components that run unless the settings switch
     them off; `own` are further ones by name. `around` begins before the first device is accepted, and ends after the
     robots were stopped. `on_listening` is called when every port is open. `listening` are the sockets for devices, if
-    they are open already.
+    they are open already. `namespace` is as of `Hub`.
     """
     check_ports(config)
     chosen = chosen_components(config, usual)
     folders = config.message_folders  # one may be on a dead disk: the loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
-    hub = Hub(config, catalog, guard=guard, read=read, slept_s=slept_s, computed_s=thread_time)
+    hub = Hub(config, catalog, guard=guard, read=read, slept_s=slept_s, computed_s=thread_time, namespace=namespace)
     try:
         async with (
             _hub_running(hub),

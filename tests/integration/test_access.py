@@ -10,7 +10,8 @@ import aiohttp
 import pytest
 
 from hostlink.client import connect
-from hostlink.core.config import ApiConfig, Config, TokenConfig
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.core.config import Config
 from hostlink.errors import ConfigError, HostlinkError
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
@@ -18,7 +19,7 @@ from tests.support.rosbridge import Client
 from tests.support.waiting import TIMEOUT_S
 
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
-GUARDED = Config(
+GUARDED = Config().with_tables(
     api=ApiConfig(
         tokens=(
             TokenConfig(name="phone", role="drive", token=DRIVE),
@@ -71,12 +72,12 @@ async def views(host: Daemon) -> list[dict[str, object]]:
 
 async def test_daemon_without_tokens_on_a_public_address_does_not_start() -> None:
     with pytest.raises(ConfigError, match=r"set \[\[api.tokens\]\], or listen on 127.0.0.1"):
-        async with daemon(Config(api=ApiConfig(host="0.0.0.0"))):
+        async with daemon(Config().with_tables(api=ApiConfig(host="0.0.0.0"))):
             pytest.fail("it started")
 
 
 async def test_too_many_clients() -> None:
-    async with daemon(Config(api=ApiConfig(max_clients=2))) as host:
+    async with daemon(Config().with_tables(api=ApiConfig(max_clients=2))) as host:
         async with host.session.ws_connect(host.url), host.session.get(host.url + "/api/events"):
             with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
                 await host.session.ws_connect(host.url)
@@ -88,7 +89,7 @@ async def test_too_many_clients() -> None:
 
 
 async def test_a_message_too_large_closes_its_client_only() -> None:
-    config = Config(api=ApiConfig(max_message_bytes=4096))
+    config = Config().with_tables(api=ApiConfig(max_message_bytes=4096))
     async with daemon(config) as host, host.session.ws_connect(host.url) as good:
         async with host.session.ws_connect(host.url) as bad:
             await bad.send_str(json.dumps({"op": "publish", "topic": "/a", "msg": "x" * 5000}))
@@ -115,7 +116,7 @@ async def test_tls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     await asyncio.to_thread(subprocess.run, [*make, *names], check=True, capture_output=True)
     trust = ssl.create_default_context(cafile=certificate)
-    async with daemon(Config(api=ApiConfig(certificate=certificate, key=key))) as host:
+    async with daemon(Config().with_tables(api=ApiConfig(certificate=certificate, key=key))) as host:
         assert host.url.startswith("https://")
         async with host.session.get(host.url + "/healthz", ssl=trust) as response:
             assert response.status == 200

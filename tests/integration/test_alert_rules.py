@@ -9,7 +9,8 @@ import pytest
 import yaml
 from prometheus_client.parser import text_string_to_metric_families
 
-from hostlink.core.config import Config, RecordingConfig
+from hostlink.components.recorder.settings import RecordingConfig
+from hostlink.core.config import Config
 from tests.support.daemon import daemon
 from tests.support.device_reports import BATTERY, battery
 from tests.support.fake_device import fake_device, pose, robot_topics
@@ -97,7 +98,7 @@ def test_each_rule_has_a_trouble_on_which_it_fires() -> None:
 
 async def test_series_of_the_scenarios_have_the_labels_that_the_daemon_exports(tmp_path: Path) -> None:
     exported: dict[str, set[str]] = {"up": {"job"}, "process_start_time_seconds": {"job"}}  # by Prometheus itself
-    config = Config(recording=RecordingConfig(folder=tmp_path))
+    config = Config().with_tables(recording=RecordingConfig(folder=tmp_path))
     async with daemon(config) as host, fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
         await device.send(b"\xff\xfe" + bytes(20) + pose(1.0, 2.0, 0.5) + battery(7.5))
         await expect(lambda: host.hub.robots.find("robot_0").battery is not None)

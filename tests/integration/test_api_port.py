@@ -12,15 +12,16 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from hostlink.core.config import ApiConfig, Config
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.waiting import TIMEOUT_S, expect
 
 HALF = b"GET /api/robots HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
 BODY_MISSING = b"PUT /api/robots/robot_0/velocity HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 40\r\n\r\n{"
-SMALL = Config(api=ApiConfig(max_connections=24, max_connections_per_address=24))
-IMPATIENT = Config(api=ApiConfig(request_timeout_s=0.2))
+SMALL = Config().with_tables(api=ApiConfig(max_connections=24, max_connections_per_address=24))
+IMPATIENT = Config().with_tables(api=ApiConfig(request_timeout_s=0.2))
 
 
 SLOW_TURN_S = 0.02
@@ -129,7 +130,11 @@ async def test_handshakes_of_tls_that_never_end_give_way(tmp_path: Path) -> None
     await asyncio.to_thread(subprocess.run, [*make, *names], check=True, capture_output=True)
     trust = ssl.create_default_context(cafile=certificate)
     api = ApiConfig(certificate=certificate, key=key, max_connections=24, max_connections_per_address=24)
-    async with daemon(Config(api=api)) as host, connections(host, 60, b"\x16"), asyncio.timeout(TIMEOUT_S):
+    async with (
+        daemon(Config().with_tables(api=api)) as host,
+        connections(host, 60, b"\x16"),
+        asyncio.timeout(TIMEOUT_S),
+    ):
         assert (await host.session.post(host.url + "/api/stop", ssl=trust)).status == 200
 
 

@@ -10,7 +10,8 @@ import aiohttp
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.core.config import ApiConfig, Config
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config
 from hostlink.core.runtime.log_budget import LOG_INTERVAL_S
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
@@ -94,7 +95,10 @@ async def test_a_web_socket_for_another_protocol_is_refused() -> None:
 async def test_a_body_that_breaks_off_or_is_damaged_is_refused() -> None:
     head = b"PUT /api/robots/robot_0/velocity HTTP/1.1\r\nHost: 127.0.0.1\r\n"
     with capture_logs() as lines:
-        async with daemon(Config(api=ApiConfig(request_timeout_s=0.5))) as host, fake_device(host.tcp, robot_topics()):
+        async with (
+            daemon(Config().with_tables(api=ApiConfig(request_timeout_s=0.5))) as host,
+            fake_device(host.tcp, robot_topics()),
+        ):
             reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
             writer.write(head + b"Transfer-Encoding: chunked\r\n\r\n3\r\nabc\r\n")
             await asyncio.sleep(0.05)
@@ -121,7 +125,7 @@ async def test_a_compressed_body_is_not_unpacked() -> None:
 async def test_no_request_is_an_error_of_the_daemon() -> None:
     seed = int(os.environ.get("HOSTLINK_SEED", "1"))
     draw = random.Random(seed)
-    config = Config(api=ApiConfig(request_timeout_s=0.3, max_requests_s=1e6))
+    config = Config().with_tables(api=ApiConfig(request_timeout_s=0.3, max_requests_s=1e6))
     wrong: list[tuple[bytes, bytes]] = []
     began_s = asyncio.get_running_loop().time()
     with capture_logs() as lines:

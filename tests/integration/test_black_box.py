@@ -18,7 +18,8 @@ from hostlink.components.recorder import black_box
 from hostlink.components.recorder.black_box import MAX_CHANNELS
 from hostlink.components.recorder.channel import Channel
 from hostlink.components.recorder.reader import McapReader, StoredMessage
-from hostlink.core.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
+from hostlink.core.config import Config, LinkConfig
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.detached import start_python
 from tests.support.daemon import Daemon, daemon
@@ -31,7 +32,9 @@ FORWARD, STANDING = ({"linear_m_s": speed_m_s, "linear_y_m_s": 0.0, "angular_rad
 
 def config(folder: Path, *, free_mb: float = 0.0, **changes: Any) -> Config:
     box = {"before_s": 20.0, "after_s": 0.5, **changes}
-    return Config(recording=RecordingConfig(folder=folder, min_free_disk_mb=free_mb), black_box=BlackBoxConfig(**box))
+    return Config().with_tables(
+        recording=RecordingConfig(folder=folder, min_free_disk_mb=free_mb), black_box=BlackBoxConfig(**box)
+    )
 
 
 @contextlib.asynccontextmanager

@@ -6,14 +6,15 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from hostlink.core.config import ApiConfig, Config, TokenConfig
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.core.config import Config
 from tests.support.api_loads import head
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.waiting import TIMEOUT_S
 
 READ, DRIVE = "reader-of-the-tests-0000", "driver-of-the-tests-0000"
-CONFIG = Config(
+CONFIG = Config().with_tables(
     api=ApiConfig(
         tokens=(
             TokenConfig(name="reader", role="read", token=READ),

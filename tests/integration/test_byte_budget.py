@@ -5,7 +5,8 @@ import asyncio
 import msgspec
 import pytest
 
-from hostlink.core.config import ApiConfig, Config
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from tests.support.api_loads import frame, websocket_head
 from tests.support.daemon import daemon
@@ -52,7 +53,7 @@ async def test_pieces_calls_watches_and_what_waits_are_given_back_when_a_client_
 
 
 async def test_message_larger_than_the_budget_occupies_all_of_it_alone() -> None:
-    config = Config(api=ApiConfig(max_message_bytes=2 * SHARES["receiving"]))
+    config = Config().with_tables(api=ApiConfig(max_message_bytes=2 * SHARES["receiving"]))
     async with daemon(config) as host, client(host) as large:
         await large.send(op="publish", topic="/large", type="std_msgs/String", msg={"data": BODY})
         assert await large.call("/rosapi/topic_type", topic="/large") == {"type": "std_msgs/String"}

@@ -11,7 +11,8 @@ from aiohttp import web
 
 from hostlink.client import connect
 from hostlink.client.connection import waits
-from hostlink.core.config import ApiConfig, Config
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.control import Log
 from hostlink.core.protocol.rosserial.frame import Id, encode
@@ -106,7 +107,7 @@ async def test_watch_gives_what_the_daemon_shows_as_it_changes() -> None:
 
 
 async def test_watch_that_is_refused_raises_the_reason() -> None:
-    async with daemon(Config(api=ApiConfig(max_clients=1))) as host, connect(host.url) as me:
+    async with daemon(Config().with_tables(api=ApiConfig(max_clients=1))) as host, connect(host.url) as me:
         with pytest.raises(HostlinkError, match="1 clients are connected"):
             await anext(aiter(me.watch()))
 

@@ -1,12 +1,12 @@
 """`GET /api/drives`: who drove when; kept over a restart."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 from hostlink.client import connect
 from hostlink.components.recorder.drives import NAME
-from hostlink.core.config import Config, RecordingConfig
+from hostlink.components.recorder.settings import RecordingConfig
+from hostlink.core.config import Config
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import run
@@ -14,7 +14,7 @@ from tests.support.waiting import expect
 
 
 def config_in(folder: Path) -> Config:
-    return Config(recording=RecordingConfig(folder=folder))
+    return Config().with_tables(recording=RecordingConfig(folder=folder))
 
 
 async def test_a_drive_is_shown_while_it_lasts_and_kept_when_it_is_over(tmp_path: Path) -> None:
@@ -45,7 +45,7 @@ async def test_a_drive_is_shown_while_it_lasts_and_kept_when_it_is_over(tmp_path
 
 
 async def test_drive_history_that_is_turned_off_writes_no_file(tmp_path: Path) -> None:
-    config = replace(config_in(tmp_path), recording=RecordingConfig(folder=tmp_path, drives=False))
+    config = config_in(tmp_path).with_tables(recording=RecordingConfig(folder=tmp_path, drives=False))
     async with daemon(config, has_black_box=True) as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.has("robot_0"))
         await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')

@@ -12,7 +12,8 @@ import aiohttp
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.core.config import ApiConfig, Config, TokenConfig
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.core.config import Config
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.frame import encode
 from hostlink.core.robot.events import OWNER_LEFT
@@ -114,7 +115,7 @@ async def test_the_first_subprotocol_that_is_known_is_spoken(subprotocols: tuple
 
 
 async def test_tokens_and_their_roles_hold_in_the_url_and_in_the_header() -> None:
-    async with daemon(Config(api=ApiConfig(tokens=TOKENS))) as host:
+    async with daemon(Config().with_tables(api=ApiConfig(tokens=TOKENS))) as host:
         for query, status in (("", 401), ("?token=guessed-and-wrong", 401)):
             with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
                 await host.session.ws_connect(f"{host.url}/{query}", protocols=(FOXGLOVE,))

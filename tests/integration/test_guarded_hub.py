@@ -4,12 +4,13 @@ import os
 import socket
 
 from hostlink.cli.serve import running
-from hostlink.core.config import ApiConfig, Config, TcpConfig
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config, TcpConfig
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.memory_hub import RecordingGuard, twist_zeros
 from tests.support.waiting import expect
 
-CONFIG = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0))
+CONFIG = Config(tcp=TcpConfig(host="127.0.0.1", port=0)).with_tables(api=ApiConfig(port=0))
 
 
 async def test_guard_has_the_connection_of_a_robot_from_its_appearance_to_its_end() -> None:

@@ -19,7 +19,8 @@ from structlog.testing import capture_logs
 from hostlink.components.gateway import metrics as recording_metrics
 from hostlink.components.gateway.rest import MAX_OWNERS
 from hostlink.components.recorder.folder import DiskUsage, Folder
-from hostlink.core.config import BlackBoxConfig, Config, RecordingConfig
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.topic import MAX_WAITING
 from hostlink.core.protocol.rosserial.frame import encode
@@ -133,7 +134,7 @@ def named(expression: str) -> set[str]:
 async def test_the_dashboard_and_the_alerts_name_metrics_that_exist(tmp_path: Path) -> None:
     shown = {name for panel in DASHBOARD["panels"] for target in panel["targets"] for name in named(target["expr"])}
     alerted = {name for rule in RULES for name in named(rule["expr"])}
-    config = Config(recording=RecordingConfig(folder=tmp_path))
+    config = Config().with_tables(recording=RecordingConfig(folder=tmp_path))
     async with daemon(config) as host, fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
         await device.send(b"\xff\xfe" + bytes(20) + pose(1.0, 2.0, 0.5) + battery(7.5))
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
@@ -182,7 +183,9 @@ async def test_battery_of_a_robot_that_is_disconnected_or_has_none_is_not_a_metr
 
 def recorded_in(folder: Path, **box: Any) -> Config:
     recording = RecordingConfig(folder=folder, max_disk_mb=3.0, min_free_disk_mb=0.0)
-    return Config(recording=recording, black_box=BlackBoxConfig(max_memory_mb=2.0, after_s=0.0, max_disk_mb=1.0, **box))
+    return Config().with_tables(
+        recording=recording, black_box=BlackBoxConfig(max_memory_mb=2.0, after_s=0.0, max_disk_mb=1.0, **box)
+    )
 
 
 async def test_recordings_and_their_disk_are_counted_also_after_their_end(tmp_path: Path) -> None:

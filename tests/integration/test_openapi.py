@@ -8,7 +8,8 @@ from typing import Any
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 
-from hostlink.core.config import ApiConfig, Config
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config
 from hostlink.core.robot.command_endpoint import CommandEndpoint
 from hostlink.errors import DeviceGone
 from tests.support.daemon import daemon
@@ -17,7 +18,7 @@ from tests.support.remote_robots import RecordingHosts, reach
 
 EXAMPLES = 8  # a path
 PROMISED = Path(__file__).with_name("openapi.json")
-GENEROUS = Config(api=ApiConfig(max_requests_s=1e6))
+GENEROUS = Config().with_tables(api=ApiConfig(max_requests_s=1e6))
 
 
 def try_everything(url: str, document: dict[str, Any]) -> list[str]:

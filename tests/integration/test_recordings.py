@@ -9,7 +9,6 @@ import shutil
 import threading
 from collections import Counter
 from collections.abc import AsyncIterator, Collection, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import structlog
 from structlog.testing import capture_logs
 
 from hostlink.components.gateway.history import recording_history
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
 from hostlink.components.recorder import mcap_writer
 from hostlink.components.recorder import recordings as recordings_module
 from hostlink.components.recorder.channel import EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, json_of
@@ -26,7 +26,8 @@ from hostlink.components.recorder.folder import Folder
 from hostlink.components.recorder.mcap_format import MAGIC
 from hostlink.components.recorder.reader import McapReader, StoredMessage
 from hostlink.components.recorder.recorder import GROUP, TopicSelection
-from hostlink.core.config import ApiConfig, Config, RecordingConfig, TokenConfig
+from hostlink.components.recorder.settings import RecordingConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.node import is_of
 from hostlink.core.hub.topic import Topic
 from hostlink.core.robot.velocity import PlanarVelocity
@@ -42,7 +43,7 @@ POSES = [pose(0.1 * number, 0.2, 0.3) for number in range(20)]
 
 
 def config(folder: Path, **changes: Any) -> Config:
-    return Config(recording=RecordingConfig(folder=folder, min_free_disk_mb=0.0, **changes))
+    return Config().with_tables(recording=RecordingConfig(folder=folder, min_free_disk_mb=0.0, **changes))
 
 
 @contextlib.asynccontextmanager
@@ -177,7 +178,7 @@ async def test_topic_that_appears_later_is_recorded_and_one_that_disappears_is_r
 async def test_page_of_another_origin_reads_a_recording_as_lichtblick_does(tmp_path: Path) -> None:
     """Lichtblick reads the headers of the whole file first, then ranges. A browser shows it only exposed headers."""
     page = "https://app.example"
-    settings = replace(config(tmp_path), api=ApiConfig(origins=(page,)))
+    settings = config(tmp_path).with_tables(api=ApiConfig(origins=(page,)))
     async with recorded(settings) as (host, device):
         await start(host, name="run")
         await send_poses(host, device)
@@ -220,7 +221,7 @@ async def test_a_token_that_may_read_fetches_and_does_not_record(tmp_path: Path)
         TokenConfig(name="eye", role="read", token="r" * 20),
         TokenConfig(name="hand", role="drive", token="d" * 20),
     )
-    settings = replace(config(tmp_path), api=ApiConfig(tokens=tokens))
+    settings = config(tmp_path).with_tables(api=ApiConfig(tokens=tokens))
     async with daemon(settings) as host:
         reading, driving = ({"Authorization": f"Bearer {letter * 20}"} for letter in "rd")
         path = f"{host.url}/api/recordings"
@@ -312,7 +313,7 @@ async def test_a_disk_that_fills_ends_the_recording_and_nothing_else(tmp_path: P
 
 
 async def test_too_little_room_on_the_disk_is_told_before_a_file_is_made(tmp_path: Path) -> None:
-    settings = Config(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=1e12))
+    settings = Config().with_tables(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=1e12))
     async with recorded(settings) as (host, _):
         status, refusal = await host.rest("POST", "/api/recordings")
     assert (status, "min_free_disk_mb" in refusal["error"]["reason"]) == (507, True)
@@ -408,7 +409,7 @@ async def record_drive(host: Daemon, device: FakeDevice, name: str) -> bytes:
             await device.send(each)
         await expect(lambda: host.hub.robots.find("robot_0").state(0.0).odometry is not None)
     await stop(host, name)
-    return (host.hub.config.recording.folder / f"{name}.mcap").read_bytes()  # type: ignore[operator]
+    return (host.hub.config.table("recording", RecordingConfig).folder / f"{name}.mcap").read_bytes()  # type: ignore[operator]
 
 
 async def test_recording_is_read_as_the_history_of_its_robot(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.client import connect
-from hostlink.core.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.core.config import Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig
 from hostlink.core.robot.velocity import ZERO
 from hostlink.errors import ConfigError, HostlinkError
 from tests.support.daemon import Daemon, daemon
@@ -22,7 +23,7 @@ from tests.support.waiting import expect
 
 ALICE, BOB = "the-token-of-alice-1", "the-token-of-bob-123"
 BOTH = (TokenConfig(name="alice", role="drive", token=ALICE), TokenConfig(name="bob", role="drive", token=BOB))
-GUARDED = Config(api=ApiConfig(tokens=BOTH))
+GUARDED = Config().with_tables(api=ApiConfig(tokens=BOTH))
 VELOCITY = "/robot_0/velocity_commands"
 
 
@@ -159,7 +160,7 @@ async def test_driver_with_a_withdrawn_token_is_disconnected_and_the_robot_is_st
         await expect(lambda: host.hub.robots.has("robot_0"))
         driving = tasks.create_task(drive_on(host))
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
-        file.config = Config(api=ApiConfig(tokens=BOTH[1:]))
+        file.config = Config().with_tables(api=ApiConfig(tokens=BOTH[1:]))
         changed = {"changed": ["api.tokens"], "needs_restart": [], "renamed": {}}
         assert await reload(host, BOB) == (200, changed)
         assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
@@ -174,7 +175,7 @@ async def test_driver_with_a_withdrawn_token_is_disconnected_and_the_robot_is_st
 async def test_another_secret_in_the_token_s_file_withdraws_the_first(tmp_path: Path) -> None:
     (tmp_path / "token").write_text(ALICE)
     tokens = (TokenConfig(name="alice", role="drive", token_file=tmp_path / "token"),)
-    async with served(Config(api=ApiConfig(tokens=tokens))) as (host, _):
+    async with served(Config().with_tables(api=ApiConfig(tokens=tokens))) as (host, _):
         async with host.session.ws_connect(f"{host.url}/?token={ALICE}") as socket:
             (tmp_path / "token").write_text(BOB)
             assert (await reload(host, ALICE))[0] == 200
@@ -204,9 +205,11 @@ async def test_other_settings_need_a_restart_and_are_named() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        Config(robots={"robot_0": RobotConfig(max_linear_m_s=-1.0)}, api=ApiConfig(tokens=BOTH)),
-        Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.1)}, api=ApiConfig(tokens=(BOTH[0], BOTH[0]))),
-        Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.1)}, api=ApiConfig(origins=("*",))),
+        Config(robots={"robot_0": RobotConfig(max_linear_m_s=-1.0)}).with_tables(api=ApiConfig(tokens=BOTH)),
+        Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.1)}).with_tables(
+            api=ApiConfig(tokens=(BOTH[0], BOTH[0]))
+        ),
+        Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.1)}).with_tables(api=ApiConfig(origins=("*",))),
     ],
     ids=["limit", "tokens", "origins"],
 )

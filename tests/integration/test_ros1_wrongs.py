@@ -11,8 +11,8 @@ import pytest
 
 from hostlink.components.ros1 import node
 from hostlink.components.ros1.local_node import Rpc
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.ros1.xml_rpc import CallRefused, Unreachable, decode_answer, encode_answer, encode_call
-from hostlink.core.config import Ros1Config
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.frame import encode
 from tests.support.fake_device import CATALOG, fake_device, pose, topic

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.core.config import Config, load
+from hostlink.cli.settings import load
+from hostlink.core.config import Config
 from hostlink.core.hub.reloader import places_of
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind

@@ -13,9 +13,10 @@ import pytest
 from hostlink.cli.serve import running
 from hostlink.components.gateway import running as gateway
 from hostlink.components.gateway.server import serve_api
-from hostlink.components.gateway.settings import ApiAddress, GatewaySettings
+from hostlink.components.gateway.settings import ApiAddress, ApiConfig, GatewaySettings, TokenConfig
 from hostlink.components.recorder.recordings import Recordings
-from hostlink.core.config import ApiConfig, BlackBoxConfig, Config, LinkConfig, RecordingConfig, TcpConfig, TokenConfig
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
+from hostlink.core.config import Config, LinkConfig, TcpConfig
 from hostlink.core.host import Host
 from hostlink.core.hub.hub import Hub
 from hostlink.core.robot.events import OWNER_LEFT
@@ -113,12 +114,9 @@ async def test_gateway_opens_its_port_again_and_refuses_a_token_that_a_reload_ha
 ) -> None:
     port = free_port()
     config = Config(
-        tcp=TcpConfig(host="127.0.0.1", port=0),
-        api=ApiConfig(port=port, tokens=(ALICE, BOB)),
-        components={"recorder": False},
-        guardian=False,
-    )
-    withdrawn = replace(config, api=replace(config.api, tokens=(BOB,)))
+        tcp=TcpConfig(host="127.0.0.1", port=0), components={"recorder": False}, guardian=False
+    ).with_tables(api=ApiConfig(port=port, tokens=(ALICE, BOB)))
+    withdrawn = config.with_tables(api=replace(config.table("api", ApiConfig), tokens=(BOB,)))
     url = f"http://127.0.0.1:{port}"
     async with running(config, read=lambda: withdrawn) as (hub, addresses), aiohttp.ClientSession() as session:
 
@@ -136,7 +134,7 @@ async def test_gateway_opens_its_port_again_and_refuses_a_token_that_a_reload_ha
 
 
 async def test_recorder_that_fails_ends_its_files_and_records_again(recorder_fault: Fault, tmp_path: Path) -> None:
-    config = Config(
+    config = Config().with_tables(
         recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0), black_box=BlackBoxConfig(after_s=0.0)
     )
     async with daemon(config, has_black_box=True) as host, fake_device(host.tcp, robot_topics()):
@@ -176,7 +174,7 @@ async def test_robots_are_held_without_a_recorder_that_cannot_begin(
         raise ValueError("a fault of the test")
 
     monkeypatch.setattr(Recordings, "open", fail)
-    config = Config(recording=RecordingConfig(folder=tmp_path))
+    config = Config().with_tables(recording=RecordingConfig(folder=tmp_path))
     async with daemon(config, has_black_box=has_black_box) as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.has("robot_0"))
         assert findings(host.hub) == {"recorder": "component_failed"}
@@ -192,7 +190,7 @@ async def test_port_of_the_gateway_in_use_at_the_start_ends_the_daemon_before_a_
 
     async with daemon() as host:
         port = int(host.url.rpartition(":")[2])
-        config = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=port))
+        config = Config(tcp=TcpConfig(host="127.0.0.1", port=0)).with_tables(api=ApiConfig(port=port))
         with pytest.raises(ConfigError, match="is in use by another hostlink"):
             async with running(config, on_listening=note):
                 pass
@@ -235,17 +233,15 @@ async def test_robots_are_stopped_before_the_gateway_ends_and_the_recorder_ends_
 async def test_daemon_holds_robots_without_gateway_and_recorder(tmp_path: Path) -> None:
     config = Config(
         tcp=TcpConfig(host="127.0.0.1", port=0),
-        api=ApiConfig(port=free_port()),
-        recording=RecordingConfig(folder=tmp_path / "recordings"),
         link=LinkConfig(silence_timeout_s=None, idle_timeout_s=None),
         components={"gateway": False, "recorder": False},
         guardian=False,
-    )
+    ).with_tables(api=ApiConfig(port=free_port()), recording=RecordingConfig(folder=tmp_path / "recordings"))
     async with running(config) as (hub, addresses), fake_device(addresses.tcp, robot_topics()):
         await expect(lambda: hub.robots.has("robot_0"))
         assert addresses.api == ""
         with pytest.raises(OSError, match=r"."):
-            await asyncio.open_connection("127.0.0.1", config.api.port)
+            await asyncio.open_connection("127.0.0.1", config.table("api", ApiConfig).port)
     assert not (tmp_path / "recordings").exists()
 
 
@@ -263,8 +259,8 @@ async def test_gateway_without_a_recorder_says_so() -> None:
 
 async def test_python_program_with_the_core_has_a_gateway_if_its_settings_say_so() -> None:
     port = free_port()
-    config = Config(
-        tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=port), components={"gateway": True}, guardian=False
+    config = Config(tcp=TcpConfig(host="127.0.0.1", port=0), components={"gateway": True}, guardian=False).with_tables(
+        api=ApiConfig(port=port)
     )
     async with serving(config) as host, aiohttp.ClientSession() as session:
         assert host.offered(ApiAddress) == ApiAddress(f"http://127.0.0.1:{port}")

@@ -13,18 +13,9 @@ from hypothesis import strategies as st
 
 from hostlink.cli.check import FEWEST, NODE_SHARES, check, fitted
 from hostlink.cli.serve import running
-from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS
-from hostlink.core.config import (
-    ApiConfig,
-    Config,
-    LinkConfig,
-    RobotConfig,
-    Ros1Config,
-    SerialConfig,
-    TcpConfig,
-    TokenConfig,
-    UdpConfig,
-)
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiConfig, TokenConfig
+from hostlink.components.ros1.settings import Ros1Config
+from hostlink.core.config import Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.errors import ConfigError
 
 NUMBERS = st.sampled_from([1.0, 0.5, 3.0, 0.0, -1.0, math.inf, -math.inf, math.nan, 1e-300])
@@ -56,7 +47,7 @@ def table(kind: type[Any], **fields: st.SearchStrategy[Any]) -> st.SearchStrateg
 
 
 configs = st.builds(
-    Config,
+    lambda api, **parts: Config(**parts).with_tables(api=api),
     tcp=table(
         TcpConfig, host=HOSTS, port=PORTS, max_connections=WHOLE, max_connections_per_address=WHOLE, key_file=PATHS
     ),
@@ -104,8 +95,9 @@ configs = st.builds(
 def with_free_ports(config: Config) -> Config:
     """Replace ports that were not drawn by free ones, because another daemon may have them."""
     tcp = config.tcp if config.tcp.port != TcpConfig().port else dataclasses.replace(config.tcp, port=0)
-    api = config.api if config.api.port != ApiConfig().port else dataclasses.replace(config.api, port=0)
-    return dataclasses.replace(config, tcp=tcp, api=api)
+    api = config.table("api", ApiConfig)
+    api = api if api.port != ApiConfig().port else dataclasses.replace(api, port=0)
+    return dataclasses.replace(config, tcp=tcp).with_tables(api=api)
 
 
 async def begin(config: Config) -> None:
@@ -134,17 +126,17 @@ def test_every_part_has_a_share_of_the_descriptors(
     devices: int, sessions: int | None, programs: int, nodes: int | None, descriptors: int
 ) -> None:
     config = Config(
-        tcp=TcpConfig(max_connections=devices),
-        udp=None if sessions is None else UdpConfig(max_connections=sessions),
+        tcp=TcpConfig(max_connections=devices), udp=None if sessions is None else UdpConfig(max_connections=sessions)
+    ).with_tables(
         api=ApiConfig(max_connections=programs),
         ros1=Ros1Config() if nodes is None else Ros1Config(master="http://localhost:1", max_connections=nodes),
     )
     fits = fitted(config, descriptors)
     given_sessions = 0 if fits.udp is None else fits.udp.max_connections
-    given_nodes = 0 if nodes is None else fits.ros1.max_connections
-    shares = (fits.tcp.max_connections, given_sessions, fits.api.max_connections, given_nodes)
+    given_nodes = 0 if nodes is None else fits.table("ros1", Ros1Config).max_connections
+    shares = (fits.tcp.max_connections, given_sessions, fits.table("api", ApiConfig).max_connections, given_nodes)
     assert all(
         share <= (wanted or 0) for share, wanted in zip(shares, (devices, sessions, programs, nodes), strict=True)
     )
-    assert fits.api.max_connections >= min(programs, KEPT_FOR_REQUESTS + 1)
+    assert fits.table("api", ApiConfig).max_connections >= min(programs, KEPT_FOR_REQUESTS + 1)
     assert shares[0] + shares[1] + shares[2] + NODE_SHARES * shares[3] <= descriptors

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hostlink.core.config import ApiConfig, Config
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.robot_events import EventKind, RobotEvent
 from hostlink.core.robot.velocity import TWIST_TYPE
 from tests.support.api_memory import ApiMemory, ApiPeer, api_in_memory, text_frame
@@ -149,7 +150,7 @@ def _of_event(event: RobotEvent) -> tuple[Any, ...]:
 
 async def outcome(acts: list[Segment | Other], *, is_at_once: bool) -> dict[str, Any]:
     """Return all that can be seen of a world."""
-    async with api_in_memory(Config(api=ApiConfig(max_requests_s=200.0))) as api:
+    async with api_in_memory(Config().with_tables(api=ApiConfig(max_requests_s=200.0))) as api:
         world = World(api, [await api.web_socket(), await api.web_socket()])
         api.hub.join("observer").observe(world.events.append)
         if not is_at_once:

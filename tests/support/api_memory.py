@@ -5,7 +5,6 @@ import contextlib
 import json
 import tempfile
 from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,9 @@ from aiohttp import web
 
 from hostlink.components.gateway.listener import MakeProtocol, PacedReading
 from hostlink.components.gateway.server import ApiServer, protocols_of
-from hostlink.components.gateway.settings import GatewaySettings
-from hostlink.core.config import BlackBoxConfig, Config, RecordingConfig
+from hostlink.components.gateway.settings import ApiConfig, GatewaySettings
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.hosts import host_of, recordings_of
@@ -101,7 +101,11 @@ class ApiPeer:
         assert connection is not None
         self.transport = ApiTransport(peer)
         self.reading = PacedReading(
-            api.make_protocol(), api.host, api.hub.config.api, api.server.listener.connections, connection
+            api.make_protocol(),
+            api.host,
+            api.hub.config.table("api", ApiConfig),
+            api.server.listener.connections,
+            connection,
         )
         self.transport.protocol = self.reading
         self.transport.on_resumed = self._expect_read
@@ -174,15 +178,15 @@ class ApiMemory:
     """A daemon's API server and the device of its robot."""
 
     def __init__(self, config: Config, folder: Path) -> None:
-        config = replace(
-            config, recording=RecordingConfig(folder=folder, drives=False), black_box=BlackBoxConfig(enabled=False)
+        config = config.with_tables(
+            recording=RecordingConfig(folder=folder, drives=False), black_box=BlackBoxConfig(enabled=False)
         )
         self.hub = Hub(config, CATALOG, reraises=True)
         self.host = host_of(self.hub)
         recordings = recordings_of(self.hub)
         for service in (recordings, recordings.black_box, recordings.drives):
             self.host.offer(service)
-        self.server = ApiServer(self.host, GatewaySettings(api=config.api))
+        self.server = ApiServer(self.host, GatewaySettings(api=config.table("api", ApiConfig)))
         self.make_protocol: MakeProtocol
         self.device: ScriptedDevice
 

@@ -16,7 +16,9 @@ import aiohttp
 import msgspec
 
 from hostlink.cli.serve import running
-from hostlink.core.config import BlackBoxConfig, Config, LinkConfig
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
+from hostlink.core.config import Config, LinkConfig
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.stall_watch import StallWatch
 from hostlink.core.robot.events import EventKind, RobotEvent
@@ -105,12 +107,13 @@ async def daemon(
     """
 
     def on_free_ports(config: Config) -> Config:
-        black_box = config.black_box if has_black_box else BlackBoxConfig(enabled=False)
-        recording = replace(config.recording, drives=config.recording.drives and has_black_box)
+        black_box = config.table("black_box", BlackBoxConfig) if has_black_box else BlackBoxConfig(enabled=False)
+        recording = config.table("recording", RecordingConfig)
+        recording = replace(recording, drives=recording.drives and has_black_box)
         # A fake device sends what its test says, and no more: its silence lasts for as long as the machine is busy.
         link = PATIENT if config.link == LinkConfig() else config.link
-        tcp, api = replace(config.tcp, host="127.0.0.1", port=0), replace(config.api, port=0)
-        return replace(config, black_box=black_box, recording=recording, tcp=tcp, api=api, link=link)
+        tcp, api = replace(config.tcp, host="127.0.0.1", port=0), replace(config.table("api", ApiConfig), port=0)
+        return replace(config, tcp=tcp, link=link).with_tables(black_box=black_box, recording=recording, api=api)
 
     read_again = None if read is None else (lambda: on_free_ports(read()))
     async with (

@@ -9,6 +9,7 @@ from collections import Counter
 from typing import cast
 
 from hostlink.components.ros1.local_node import LocalNode
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.ros1.tcpros import encode_header, encode_message
 from hostlink.components.ros1.topics import _PublisherConnection
 from hostlink.components.zenoh.fleet_commands import FleetDrivers
@@ -23,7 +24,6 @@ from hostlink.components.zenoh.fleet_messages import (
 )
 from hostlink.components.zenoh.roster import FleetRoster
 from hostlink.components.zenoh.session import ZenohSample, ZenohSession
-from hostlink.core.config import Ros1Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.node import Role
 from hostlink.core.hub.participant import Participant

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from hostlink.components.recorder.black_box import BlackBox
 from hostlink.components.recorder.recordings import Recordings
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
 from hostlink.core.host import Host
 from hostlink.core.hub.hub import Hub
 
@@ -21,10 +22,16 @@ def host_of(hub: Hub, name: str = "test") -> Host:
 
 def recordings_of(hub: Hub) -> Recordings:
     """Make the recordings of a daemon with the hub's settings."""
-    return Recordings(host_of(hub, "recorder"), hub.config.recording, hub.config.black_box)
+    return Recordings(
+        host_of(hub, "recorder"),
+        hub.config.table("recording", RecordingConfig),
+        hub.config.table("black_box", BlackBoxConfig),
+    )
 
 
 def black_box_of(hub: Hub, folder: Path) -> BlackBox:
     """Make the black box of a daemon with the hub's settings."""
-    free_mb = hub.config.recording.min_free_disk_mb
-    return BlackBox(host_of(hub, "recorder"), hub.config.black_box, folder, min_free_disk_mb=free_mb)
+    free_mb = hub.config.table("recording", RecordingConfig).min_free_disk_mb
+    return BlackBox(
+        host_of(hub, "recorder"), hub.config.table("black_box", BlackBoxConfig), folder, min_free_disk_mb=free_mb
+    )

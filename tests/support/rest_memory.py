@@ -13,7 +13,7 @@ from hostlink.components.gateway.access import GRANT, Grant
 from hostlink.components.gateway.clients import Clients
 from hostlink.components.gateway.rest import Owners, Rest
 from hostlink.components.gateway.routes import BODY, CAME, Route, explain_errors
-from hostlink.components.gateway.settings import GatewaySettings
+from hostlink.components.gateway.settings import ApiConfig, GatewaySettings
 from hostlink.components.recorder.drives import DriveLog
 from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
@@ -38,7 +38,9 @@ class RestCalls:
         if drives is not None:
             hub.offers[DriveLog] = drives
         config = hub.config
-        settings = GatewaySettings(api=config.api, tcp=config.tcp, udp=config.udp, serial=config.serial)
+        settings = GatewaySettings(
+            api=config.table("api", ApiConfig), tcp=config.tcp, udp=config.udp, serial=config.serial
+        )
         self.add(Rest(host, settings, Clients(4, max_per_address=4), self.owners).routes())
 
     def add(self, routes: Sequence[Route]) -> None:

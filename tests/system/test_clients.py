@@ -11,7 +11,9 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from hostlink.core.config import ApiConfig, Config, RecordingConfig
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.components.recorder.settings import RecordingConfig
+from hostlink.core.config import Config
 from hostlink.core.robot.velocity import PlanarVelocity, Twist
 from tests.support.daemon import daemon
 from tests.support.proxy import Line, address_of, proxy
@@ -160,7 +162,7 @@ async def test_foxglove_does_all_that_its_packages_offer(subprotocol: str) -> No
 
 async def test_foxglove_reads_a_recording_over_ranges_and_decodes_every_channel(tmp_path: Path) -> None:
     api = ApiConfig(origins=("https://app.foxglove.dev",))
-    config = Config(api=api, recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
+    config = Config().with_tables(api=api, recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
     async with daemon(config) as host, simulated_robot(host.tcp), asyncio.timeout(TIMEOUT_S):
         assert (await host.rest("POST", "/api/recordings", b'{"name": "run"}'))[0] == 200
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages > 10)

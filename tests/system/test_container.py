@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from hostlink.client import connect
+from hostlink.components.gateway.settings import ApiConfig
 from hostlink.core.config import Config
 from hostlink.core.robot.admission import LEASE_S
 from tests.support.driving import hold
@@ -42,7 +43,7 @@ def last(instruction: str) -> str:
 
 def test_container_runs_without_root_on_the_usual_ports() -> None:
     assert last("USER") not in ("root", "0")
-    assert last("EXPOSE").split() == [str(Config().tcp.port), str(Config().api.port)]
+    assert last("EXPOSE").split() == [str(Config().tcp.port), str(Config().table("api", ApiConfig).port)]
 
 
 def test_files_that_the_container_copies_and_starts_exist() -> None:

@@ -11,7 +11,8 @@ import pytest
 from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
-from hostlink.core.config import Config, RecordingConfig, TcpConfig, UdpConfig
+from hostlink.components.recorder.settings import RecordingConfig
+from hostlink.core.config import Config, TcpConfig, UdpConfig
 from hostlink.core.diagnosis.finding import finding
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
@@ -100,7 +101,7 @@ async def test_values_of_a_robot_are_blank_or_grow_old_while_the_daemon_is_gone(
 @pytest.mark.long
 @pytest.mark.parametrize("how", HOW_IT_GOES)
 async def test_lists_of_activity_are_empty_while_the_daemon_is_gone(browser: Browser, how: str, tmp_path: Path) -> None:
-    config = Config(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
+    config = Config().with_tables(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
     async with shown(browser, config) as (host, line, tab):
         await tab.layout("Watch")
         assert (await host.rest("POST", "/api/recordings", b'{"name": "run"}'))[0] == 200

@@ -12,8 +12,10 @@ from playwright.async_api import Browser, Locator, Page
 from playwright.async_api import expect as expect_page
 
 import hostlink.recording
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
 from hostlink.components.recorder.reader import McapReader
-from hostlink.core.config import ApiConfig, BlackBoxConfig, Config, RecordingConfig, RobotConfig, TokenConfig
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
+from hostlink.core.config import Config, RobotConfig
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import run
@@ -33,7 +35,9 @@ ROBOTS = {"robot_0": RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)
 def config(folder: Path, api: ApiConfig | None = None) -> Config:
     recording = RecordingConfig(folder=folder, min_free_disk_mb=0.0)
     box = BlackBoxConfig(before_s=30.0, after_s=0.5)
-    return Config(robots=ROBOTS, recording=recording, black_box=box, api=ApiConfig() if api is None else api)
+    return Config(robots=ROBOTS).with_tables(
+        recording=recording, black_box=box, api=ApiConfig() if api is None else api
+    )
 
 
 async def count(chart: Locator) -> int:

@@ -9,7 +9,8 @@ import pytest
 from axe_playwright_python.async_playwright import Axe
 from playwright.async_api import Browser
 
-from hostlink.core.config import ApiConfig, Config, RobotConfig, TokenConfig
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.core.config import Config, RobotConfig
 from hostlink.core.protocol.endpoint import EndpointKind
 from tests.support.browser import DESK, PHONE, visit
 from tests.support.daemon import daemon
@@ -67,7 +68,7 @@ async def test_device_that_is_not_a_robot_is_explained(browser: Browser) -> None
 
 async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser) -> None:
     tokens = (TokenConfig(name="phone", role="drive", token=DRIVE), TokenConfig(name="wall", role="read", token=READ))
-    async with daemon(Config(api=ApiConfig(tokens=tokens))) as host, simulated_robot(host.tcp):
+    async with daemon(Config().with_tables(api=ApiConfig(tokens=tokens))) as host, simulated_robot(host.tcp):
         async with visit(browser, host.url) as tab:
             await tab.shows("#access", "A token is needed")
             await tab.page.get_by_role("textbox", name="Token").fill(DRIVE)

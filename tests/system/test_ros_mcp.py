@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.core.config import ApiConfig, Config, TokenConfig
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.core.config import Config
 from tests.support.daemon import Daemon, daemon
 from tests.support.once import BUILD
 from tests.support.simulated import simulated_robot
@@ -86,7 +87,7 @@ async def test_assistant_lists_topics_reads_poses_and_drives_under_a_lease() -> 
 @pytest.mark.long
 async def test_assistant_with_a_token_that_only_reads_lists_and_does_not_drive(tmp_path: Path) -> None:
     token = TokenConfig(name="assistant", role="read", token=TOKEN)
-    async with daemon(Config(api=ApiConfig(tokens=(token,)))) as host, simulated_robot(host.tcp):
+    async with daemon(Config().with_tables(api=ApiConfig(tokens=(token,)))) as host, simulated_robot(host.tcp):
         await expect(host.hub.robots.all)
         (tmp_path / "token").write_text(TOKEN)
         server = tmp_path / "assistant.py"

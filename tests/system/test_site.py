@@ -10,6 +10,7 @@ import pytest
 
 import hostlink.client
 from hostlink.cli.main import COMMANDS
+from hostlink.components.gateway.settings import ApiConfig
 from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core import config
 from hostlink.core.runtime import logs
@@ -56,7 +57,7 @@ async def test_the_site_is_built_without_a_warning_and_its_reference_is_complete
     assert 'id="hostlink.client.BlockingHost.subscribe"' in client
 
     settings = text_of(tmp_path / "reference" / "configuration.html")
-    for part in (config.Config, config.TcpConfig, config.RobotConfig, config.ApiConfig, ZenohSettings):
+    for part in (config.Config, config.TcpConfig, config.RobotConfig, ApiConfig, ZenohSettings):
         assert {each.name for each in dataclasses.fields(part) if each.name not in settings} == set()
 
     metrics = text_of(tmp_path / "reference" / "metrics.html")

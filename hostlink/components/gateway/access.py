@@ -18,8 +18,8 @@ from urllib.parse import SplitResult, urlsplit
 import structlog
 from aiohttp import web
 
-from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS
-from hostlink.core.config import ApiConfig, TokenConfig, is_address
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiConfig, TokenConfig
+from hostlink.core.config import is_address
 from hostlink.core.host import Role
 from hostlink.core.runtime.logs import printable
 from hostlink.core.runtime.text_file import read_text

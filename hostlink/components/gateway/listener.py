@@ -13,7 +13,7 @@ import structlog
 from aiohttp import web
 
 from hostlink.components.gateway.frames import ClientFrames
-from hostlink.core.config import ApiConfig
+from hostlink.components.gateway.settings import ApiConfig
 from hostlink.core.host import Host
 from hostlink.core.runtime.acceptor import Acceptor
 from hostlink.core.runtime.arrival import Arrival

@@ -29,8 +29,8 @@ from hostlink.components.gateway.clients import (
     put_json,
     velocity_of_payload,
 )
+from hostlink.components.gateway.settings import ApiConfig
 from hostlink.components.gateway.views import velocity_answer
-from hostlink.core.config import ApiConfig
 from hostlink.core.host import (
     MAX_ADVERTISED,
     MAX_CALLS,

@@ -5,8 +5,7 @@ from collections.abc import Iterable, Iterator
 
 from hostlink.components.gateway.access import Access, is_loopback, tls_context
 from hostlink.components.gateway.server import serve_api, url_of
-from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiAddress, GatewaySettings, is_origin
-from hostlink.core.config import ApiConfig
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiAddress, ApiConfig, GatewaySettings, is_origin
 from hostlink.core.host import Component, Host
 
 

@@ -42,9 +42,9 @@ from hostlink.components.gateway.routes import (
     refuse_unreadable,
     reply,
 )
-from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, GatewaySettings
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiConfig, GatewaySettings
 from hostlink.components.gateway.web_socket import ClientSocket, close_going_away
-from hostlink.core.config import ApiConfig, Config
+from hostlink.core.config import Config
 from hostlink.core.host import Host, Role
 from hostlink.core.runtime.acceptor import bind, why
 from hostlink.core.runtime.cancellation import raise_if_cancelled
@@ -145,7 +145,7 @@ class ApiServer:
 
     def _prepare_access(self, config: Config) -> Callable[[], None]:
         """Prepare new tokens and origins. Applying them ends requests with a revoked token; what they drive stops."""
-        new = Access(config.api)
+        new = Access(config.table("api", ApiConfig))
 
         def apply() -> None:
             revoked = self._access.revoked(new)

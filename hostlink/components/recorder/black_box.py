@@ -22,7 +22,7 @@ from hostlink.components.recorder.recorder import Recorder, TopicSelection
 from hostlink.components.recorder.ring import RingMemory, Rings
 from hostlink.components.recorder.salvage import ABOUT, CLOSED, About, Pending, clear_old, pending_name, salvage
 from hostlink.components.recorder.salvage import MAX_PENDING_CHANNELS as MAX_FACT_CHANNELS
-from hostlink.core.config import BlackBoxConfig
+from hostlink.components.recorder.settings import BlackBoxConfig
 from hostlink.core.host import Host
 from hostlink.core.robot.events import EventKind, RobotEvent
 from hostlink.core.runtime import remains

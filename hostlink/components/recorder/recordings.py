@@ -21,7 +21,7 @@ from hostlink.components.recorder.folder import MEGABYTE, Folder, check_name, de
 from hostlink.components.recorder.mcap_format import MAGIC
 from hostlink.components.recorder.mcap_writer import MAX_CHANNELS, FileThread
 from hostlink.components.recorder.recorder import Recorder, TopicSelection
-from hostlink.core.config import BlackBoxConfig, RecordingConfig
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
 from hostlink.core.host import Host
 from hostlink.core.runtime.detached import DetachedThread
 from hostlink.core.runtime.folders import FolderOwner, FolderTaken

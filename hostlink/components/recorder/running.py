@@ -4,9 +4,10 @@ import asyncio
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
+from hostlink.components.gateway.settings import ApiConfig
 from hostlink.components.recorder.folder import default_folder
 from hostlink.components.recorder.recordings import Recordings
-from hostlink.core.config import ApiConfig, BlackBoxConfig, RecordingConfig
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
 from hostlink.core.host import Component, Host
 from hostlink.core.runtime.folders import owner_of
 from hostlink.core.runtime.listening import spelled

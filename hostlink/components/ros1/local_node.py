@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import aiohttp
 
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.ros1.xml_rpc import (
     CALL_TIMEOUT_S,
     HEADERS,
@@ -19,7 +20,6 @@ from hostlink.components.ros1.xml_rpc import (
     encode_call,
     reason_of,
 )
-from hostlink.core.config import Ros1Config
 from hostlink.core.host import Host, Participant
 from hostlink.core.mirror.log_once import LogOnce
 

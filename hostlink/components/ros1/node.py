@@ -20,6 +20,7 @@ from hostlink.components.ros1.graph_sync import GraphSync
 from hostlink.components.ros1.local_node import GROUP, LocalNode
 from hostlink.components.ros1.master import MasterParameters, Registrar
 from hostlink.components.ros1.names import NameMap, NameResolver
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.ros1.tcpros import ANY
 from hostlink.components.ros1.xml_rpc import (
     ERROR,
@@ -30,7 +31,6 @@ from hostlink.components.ros1.xml_rpc import (
     encode_answer,
     encode_fault,
 )
-from hostlink.core.config import Ros1Config
 from hostlink.core.host import Component, Graph, Host, Message
 from hostlink.core.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.core.runtime.acceptor import why

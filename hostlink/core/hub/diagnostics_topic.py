@@ -138,7 +138,7 @@ class DiagnosticsTopic:
     def __init__(self, shared: Shared, robots: Robots, participant: Participant) -> None:
         self._shared, self._robots, self._participant = shared, robots, participant
         # The namespace distinguishes daemons that share the topic; a single daemon has "/".
-        self._node = "/".join([NODE, *filter(None, shared.config.ros1.namespace.split("/"))])
+        self._node = "/".join([NODE, *filter(None, shared.namespace.split("/"))])
         self._topic = self._participant.advertise(TOPIC, TYPE)
 
     async def run(self) -> None:

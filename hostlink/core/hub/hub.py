@@ -60,6 +60,7 @@ class Hub(Shared):
         computed_s: Callable[[], float] = loop_time_s,
         wall_ns: Callable[[], int] | None = None,
         first_epoch: Callable[[], int] = draw_epoch,
+        namespace: str = "/",
     ) -> None:
         """Connect nothing yet.
 
@@ -68,6 +69,7 @@ class Hub(Shared):
         `slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out.
         `computed_s` returns the CPU time of the event loop's thread, without the time for which it waited for a core.
         `wall_ns` returns the time of day; None: that of the computer. `first_epoch` draws that of a robot.
+        `namespace` distinguishes this daemon in /diagnostics.
         """
         super().__init__(
             config,
@@ -77,6 +79,7 @@ class Hub(Shared):
             slept_s=slept_s,
             computed_s=computed_s,
             wall_ns=wall_ns,
+            namespace=namespace,
         )
         self.is_running = asyncio.Event()  # `spawn` works when it is set
         self.listening = Listening()  # set by the listeners

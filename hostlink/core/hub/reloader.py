@@ -4,13 +4,13 @@ import asyncio
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Callable, Coroutine, Iterable, Iterator
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import structlog
 
-from hostlink.core.config import Config, RobotConfig
+from hostlink.core.config import AT_ONCE, Config, RobotConfig
 from hostlink.core.hub.links import addresses_of
 from hostlink.core.hub.robot_settings import LIMITS, limits_of
 from hostlink.core.robot.kinematics import SETTINGS
@@ -21,7 +21,6 @@ from hostlink.errors import HostlinkError, ReloadRefused
 log = structlog.get_logger()
 
 ROBOT = ("address", "devices", "command_device", "kinematics", "wheel_radius_m", *SETTINGS, *LIMITS)
-API = ("tokens", "origins")
 
 
 def places_of(config: Config) -> Places:
@@ -45,11 +44,16 @@ class Change(NamedTuple):
 
 def change(old: Config, new: Config) -> Change:
     """Return the settings of `new` that a daemon with `old` can apply at once."""
+    tables = {**old.component_settings, **new.component_settings}
+    kinds = {name: type(table) for name, table in tables.items() if _applied_at_once(type(table))}
+    old, new = _with_tables(old, kinds), _with_tables(new, kinds)
     names = {**old.robots, **new.robots}
     robots = {name: _robot(old, new, name) for name in names}
     kept = {name: robot for name, robot in robots.items() if name in new.robots or robot != RobotConfig()}
-    api = dataclasses.replace(old.api, **{name: getattr(new.api, name) for name in API})
-    config = dataclasses.replace(old, robots=kept, api=api)
+    config = dataclasses.replace(old, robots=kept)
+    for name, kind in kinds.items():
+        wanted = {each: getattr(new.table(name, kind), each) for each in _applied_at_once(kind)}
+        config = config.with_tables(**{name: dataclasses.replace(old.table(name, kind), **wanted)})
     old, between, new = (_with_robots(each, names) for each in (old, config, new))
     return Change(config, tuple(_differences(old, between)), tuple(_differences(between, new)))
 
@@ -58,6 +62,16 @@ def _robot(old: Config, new: Config, name: str) -> RobotConfig:
     wanted = new.robots.get(name, RobotConfig())
     changed = {setting: getattr(wanted, setting) for setting in ROBOT}
     return dataclasses.replace(old.robots.get(name, RobotConfig()), **changed)
+
+
+def _applied_at_once(kind: type) -> list[str]:
+    """Names of the settings of a component's table that need no restart."""
+    return [each.name for each in dataclasses.fields(kind) if each.metadata == AT_ONCE]
+
+
+def _with_tables(config: Config, kinds: Mapping[str, type]) -> Config:
+    """Add the default settings of tables that the file does not have."""
+    return config.with_tables(**{name: config.table(name, kind) for name, kind in kinds.items()})
 
 
 def _with_robots(config: Config, names: Iterable[str]) -> Config:

@@ -59,8 +59,10 @@ class Shared:
         slept_s: Callable[[], float] = lambda: 0.0,
         computed_s: Callable[[], float] = loop_time_s,
         wall_ns: Callable[[], int] | None = None,
+        namespace: str = "/",
     ) -> None:
         """Connect nothing yet. The arguments are those of `Hub`."""
+        self.namespace = namespace
         self.config, self.catalog = config, catalog
         self.wall_ns = time.time_ns if wall_ns is None else wall_ns
         self.counts = Counts()

@@ -6,8 +6,9 @@ import dataclasses
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.ros1.xml_rpc import decode_answer
-from hostlink.core.config import Config, Ros1Config
+from hostlink.core.config import Config
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
@@ -59,7 +60,10 @@ class Scene:
 @contextlib.asynccontextmanager
 async def scene(master: FakeMaster, **settings: object) -> AsyncIterator[Scene]:
     ros1 = dataclasses.replace(Ros1Config(master=master.url), **settings)  # type: ignore[arg-type]
-    async with daemon(Config(ros1=ros1)) as running, fake_device(running.tcp, [*robot_topics(), TEXT]) as robot:
+    async with (
+        daemon(Config().with_tables(ros1=ros1)) as running,
+        fake_device(running.tcp, [*robot_topics(), TEXT]) as robot,
+    ):
         await expect(lambda: running.hub.robots.find("robot_0").link)
         yield Scene(master, running, robot)
     assert running.hub.isolation.crashes == {}

@@ -6,9 +6,9 @@ from typing import Any, cast
 
 from hostlink.components.ros1.connections import Wire
 from hostlink.components.ros1.local_node import LocalNode, Rpc
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream
 from hostlink.components.ros1.xml_rpc import Unreachable
-from hostlink.core.config import Ros1Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.queue import Queue
 from tests.support.hosts import host_in

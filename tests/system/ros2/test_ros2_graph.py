@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from hostlink.client import Host, HostlinkError, connect
-from hostlink.core.config import ApiConfig, Config, RobotConfig, TokenConfig
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.core.config import Config, RobotConfig
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.frame import Id, encode
 from hostlink.core.robot.velocity import Twist
@@ -314,7 +315,7 @@ async def test_a_parameter_is_set_listed_described_and_deleted_as_ros2_param_doe
 @pytest.mark.long
 async def test_a_parameter_that_the_token_may_not_set_is_refused_in_ros_2_too(environment: dict[str, str]) -> None:
     tokens = (TokenConfig(name="reader", role="read", token="a-token-of-a-reader"),)
-    config = Config(parameters={"/robot_0/gain": 1.5}, api=ApiConfig(tokens=tokens))
+    config = Config(parameters={"/robot_0/gain": 1.5}).with_tables(api=ApiConfig(tokens=tokens))
     async with (
         daemon(config) as server,
         bridge(environment, server.url, "--token", "a-token-of-a-reader"),

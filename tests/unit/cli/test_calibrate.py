@@ -15,8 +15,8 @@ from hostlink.cli.calibration_plan import SavedCalibration, Sizes, open_state
 from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show, numbers_of, pose_of, require_two_wheels
 from hostlink.cli.main import build_app
 from hostlink.cli.output import write, write_error
+from hostlink.cli.settings import load
 from hostlink.client.course import CourseFollower, Leg, Speed
-from hostlink.core.config import load
 from hostlink.core.robot.kinematics import Pose
 from hostlink.core.robot.odometry import OdometryCorrection
 from hostlink.errors import ConfigError, HostlinkError

@@ -8,19 +8,10 @@ from pathlib import Path
 import pytest
 
 from hostlink.cli.check import FEWEST, check, describe, fitted
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.components.recorder.settings import RecordingConfig
 from hostlink.components.zenoh.settings import ZenohSettings
-from hostlink.core.config import (
-    ApiConfig,
-    Config,
-    EncodersConfig,
-    LinkConfig,
-    RecordingConfig,
-    RobotConfig,
-    SerialConfig,
-    TcpConfig,
-    TokenConfig,
-    WheelsConfig,
-)
+from hostlink.core.config import Config, EncodersConfig, LinkConfig, RobotConfig, SerialConfig, TcpConfig, WheelsConfig
 from hostlink.core.runtime.folders import FolderOwner, state_folder
 from hostlink.errors import ConfigError
 
@@ -32,8 +23,8 @@ def checked(config: Config, descriptors: int = 1024) -> list[str]:
     """With ports that no daemon has."""
     if config.tcp.port == 11411:
         config = replace(config, tcp=replace(config.tcp, host="127.0.0.1", port=0))
-    if config.api.port == 9090:
-        config = replace(config, api=replace(config.api, port=0))
+    if config.table("api", ApiConfig).port == 9090:
+        config = config.with_tables(api=replace(config.table("api", ApiConfig), port=0))
     return asyncio.run(check(config, descriptors=descriptors))
 
 
@@ -88,9 +79,12 @@ def test_report_says_from_where_a_zenoh_session_can_be_reached() -> None:
     ("config", "problem"),
     [
         (Config(tcp=TcpConfig(port=65536)), r"tcp.port: 65536 is not a port; choose 0 \(any free one\) to 65535"),
-        (Config(api=ApiConfig(port=-1)), "api.port: -1 is not a port"),
+        (Config().with_tables(api=ApiConfig(port=-1)), "api.port: -1 is not a port"),
         (Config(message_folders=(Path("/none"),)), "/none: "),
-        (Config(api=OPEN), r"every program on the network could drive the robots: set \[\[api.tokens\]\]"),
+        (
+            Config().with_tables(api=OPEN),
+            r"every program on the network could drive the robots: set \[\[api.tokens\]\]",
+        ),
         (
             Config(robots={"a": RobotConfig(max_linear_m_s=-1.0)}),
             "max_linear_m_s must be a finite number, zero or more",
@@ -165,11 +159,14 @@ def test_report_says_from_where_a_zenoh_session_can_be_reached() -> None:
             Config(serial=(SerialConfig(path="/dev/x", baud=(57600, -1)),)),
             "serial /dev/x.baud: -1 is not allowed; choose a finite number above 0",
         ),
-        (Config(api=ApiConfig(max_requests_s=-1.0)), "api.max_requests_s: must be 1 or more"),
-        (Config(api=ApiConfig(host="192.0.2.7")), "set .*api.tokens"),
-        (Config(api=ApiConfig(host="192.0.2.7", tokens=(TOKEN,))), "cannot be listened on: Cannot assign requested"),
-        (Config(api=ApiConfig(certificate=Path("/none.pem"), key=Path("/none.key"))), "No such file"),
-        (Config(api=ApiConfig(certificate=Path("/none.pem"))), "TLS needs both certificate and key"),
+        (Config().with_tables(api=ApiConfig(max_requests_s=-1.0)), "api.max_requests_s: must be 1 or more"),
+        (Config().with_tables(api=ApiConfig(host="192.0.2.7")), "set .*api.tokens"),
+        (
+            Config().with_tables(api=ApiConfig(host="192.0.2.7", tokens=(TOKEN,))),
+            "cannot be listened on: Cannot assign requested",
+        ),
+        (Config().with_tables(api=ApiConfig(certificate=Path("/none.pem"), key=Path("/none.key"))), "No such file"),
+        (Config().with_tables(api=ApiConfig(certificate=Path("/none.pem"))), "TLS needs both certificate and key"),
         (Config(tcp=TcpConfig(key_file=Path("/none"))), "tcp.key_file: /none: No such file"),
     ],
 )
@@ -199,7 +196,7 @@ def test_configuration_that_cannot_be_served_is_refused(config: Config, problem:
             "be told apart only if the firmware of each has its own name",
         ),
         (
-            Config(api=replace(OPEN, tokens=(TOKEN,))),
+            Config().with_tables(api=replace(OPEN, tokens=(TOKEN,))),
             "api.host 0.0.0.0 without a certificate: others on the network can read the tokens",
         ),
         (
@@ -226,12 +223,18 @@ def test_configuration_that_cannot_be_served_is_refused(config: Config, problem:
             "robots.a: measure the car for wheelbase_m and max_steering_rad",
         ),
         (
-            Config(api=ApiConfig(max_clients=1000)),
+            Config().with_tables(api=ApiConfig(max_clients=1000)),
             "api.max_clients 1000 is too large: api.max_connections 512 leaves 496 connections for clients",
         ),
-        (Config(api=ApiConfig(origins=("panel.example",))), "api.origins panel.example is not an origin"),
-        (Config(api=ApiConfig(max_message_bytes=1)), "api.max_message_bytes 1 is very small: a message of a program"),
-        (Config(api=ApiConfig(max_requests_s=2.5)), "api.max_requests_s 2.5 is very small: a program that drives"),
+        (Config().with_tables(api=ApiConfig(origins=("panel.example",))), "api.origins panel.example is not an origin"),
+        (
+            Config().with_tables(api=ApiConfig(max_message_bytes=1)),
+            "api.max_message_bytes 1 is very small: a message of a program",
+        ),
+        (
+            Config().with_tables(api=ApiConfig(max_requests_s=2.5)),
+            "api.max_requests_s 2.5 is very small: a program that drives",
+        ),
         (Config(link=LinkConfig(max_topics=1)), "link.max_topics 1 is very small: a robot has a velocity and an"),
         (Config(link=LinkConfig(silence_timeout_s=1.0)), "link.silence_timeout_s 1 is very small: a device requests"),
         (Config(robots={"a": RobotConfig(uart_bytes_s=1)}), "robots.a.uart_bytes_s 1 is very small: no UART is slower"),
@@ -289,11 +292,11 @@ def test_the_address_of_a_port_is_none_of_a_network() -> None:
 def test_a_port_that_is_in_use_is_a_warning_because_it_may_be_the_same_daemon() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        assert checked(Config(api=ApiConfig(port=port))) == [f"api.port {port} is in use at this moment"]
+        assert checked(Config().with_tables(api=ApiConfig(port=port))) == [f"api.port {port} is in use at this moment"]
 
 
 def test_folder_of_recordings_that_another_daemon_owns_is_a_warning_that_names_the_daemon(tmp_path: Path) -> None:
-    config = Config(recording=RecordingConfig(folder=tmp_path))
+    config = Config().with_tables(recording=RecordingConfig(folder=tmp_path))
     owner = FolderOwner(tmp_path, "the daemon with process id 7")
     owner.claim()
     (warning,) = checked(config)
@@ -305,13 +308,13 @@ def test_folder_of_recordings_that_another_daemon_owns_is_a_warning_that_names_t
 def test_devices_and_programs_have_their_share_of_few_descriptors() -> None:
     assert fitted(Config(), 1024) == Config()
     small = fitted(Config(), 256)
-    assert (small.tcp.max_connections, small.api.max_connections) == (64, 128)
+    assert (small.tcp.max_connections, small.table("api", ApiConfig).max_connections) == (64, 128)
     assert checked(Config(), 256)[0].startswith(
         "256 descriptors (ulimit -n) are enough only for 64 devices and 128 conn"
     )
     for descriptors in range(FEWEST, 1024):
         fits = fitted(Config(), descriptors)
-        assert fits.tcp.max_connections + fits.api.max_connections <= descriptors - 64
+        assert fits.tcp.max_connections + fits.table("api", ApiConfig).max_connections <= descriptors - 64
         assert fits.tcp.max_connections >= 1
     with pytest.raises(ConfigError, match="127 descriptors are too few; allow at least 128"):
         fitted(Config(), 127)

@@ -9,8 +9,8 @@ import pytest
 
 from hostlink.cli.check import FEWEST, check, describe, fitted
 from hostlink.cli.serve_command import merge
+from hostlink.components.gateway.settings import ApiConfig
 from hostlink.core.config import (
-    ApiConfig,
     Config,
     MicroRosConfig,
     MicroRosTcpConfig,
@@ -22,7 +22,7 @@ from hostlink.core.config import (
 )
 from hostlink.errors import ConfigError
 
-QUIET = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0), guardian=False)
+QUIET = Config(tcp=TcpConfig(host="127.0.0.1", port=0), guardian=False).with_tables(api=ApiConfig(port=0))
 
 
 def checked(udp: UdpConfig, descriptors: int = 2048) -> list[str]:
@@ -123,6 +123,6 @@ def test_sessions_have_their_share_of_the_descriptors(descriptors: int) -> None:
     config = Config(udp=UdpConfig())
     fits = fitted(config, descriptors)
     devices = fits.tcp.max_connections + fits.udp.max_connections
-    assert devices + fits.api.max_connections <= descriptors
+    assert devices + fits.table("api", ApiConfig).max_connections <= descriptors
     assert fits.tcp.max_connections >= 1
     assert fits.udp.max_connections >= 2

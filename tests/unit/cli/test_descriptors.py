@@ -3,9 +3,11 @@
 import pytest
 
 from hostlink.cli.check import NODE_SHARES, OWN, fitted
-from hostlink.core.config import Config, Ros1Config
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.components.ros1.settings import Ros1Config
+from hostlink.core.config import Config
 
-ROS1 = Config(ros1=Ros1Config(master="http://localhost:11311"))
+ROS1 = Config().with_tables(ros1=Ros1Config(master="http://localhost:11311"))
 
 
 def test_without_a_graph_nothing_is_kept_for_one() -> None:
@@ -19,6 +21,7 @@ def test_enough_for_all_changes_nothing() -> None:
 @pytest.mark.parametrize("descriptors", [200, 512, 1024, 1500])
 def test_devices_programs_and_nodes_have_together_what_there_is(descriptors: int) -> None:
     found = fitted(ROS1, descriptors)
-    nodes = NODE_SHARES * found.ros1.max_connections
-    assert found.tcp.max_connections + found.api.max_connections + nodes <= descriptors - OWN
-    assert min(found.tcp.max_connections, found.api.max_connections, found.ros1.max_connections) > 0
+    programs = found.table("api", ApiConfig).max_connections
+    nodes = found.table("ros1", Ros1Config).max_connections
+    assert found.tcp.max_connections + programs + NODE_SHARES * nodes <= descriptors - OWN
+    assert min(found.tcp.max_connections, programs, nodes) > 0

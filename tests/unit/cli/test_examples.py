@@ -13,9 +13,12 @@ import pytest
 
 from hostlink.cli.serve_command import EXAMPLES, read_example
 from hostlink.cli.settings import load
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
 from hostlink.components.mqtt.settings import MqttSettings
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.zenoh.settings import ZenohSettings
-from hostlink.core.config import ApiConfig, Config, RobotConfig, SerialConfig, TokenConfig
+from hostlink.core.config import Config, RobotConfig, SerialConfig
 from hostlink.errors import ConfigError
 
 SETTING_NOT_MADE = re.compile(r"^#(?=\S)", re.MULTILINE)
@@ -62,7 +65,9 @@ def _with_one_of_each(text: str, kept: str) -> str:
 
 
 def test_the_example_is_the_defaults(sample: Config) -> None:
-    assert sample == Config()
+    tables = dict(sample.component_settings)
+    assert tables == {name: type(table)() for name, table in tables.items()}
+    assert dataclasses.replace(sample, component_settings={}) == Config()
 
 
 def parts(kind: type[Any], shown: dict[str, Any]) -> Iterator[tuple[type[Any], dict[str, Any]]]:
@@ -77,12 +82,17 @@ def parts(kind: type[Any], shown: dict[str, Any]) -> Iterator[tuple[type[Any], d
 
 
 OF_COMPONENTS = ("component_settings",)  # their tables are theirs
-OF_OTHERS: dict[str, type[Any]] = {"mqtt": MqttSettings, "zenoh": ZenohSettings}  # tables of components
+OF_OTHERS: dict[str, type[Any]] = {  # tables of components
+    "api": ApiConfig, "black_box": BlackBoxConfig, "mqtt": MqttSettings, "recording": RecordingConfig,
+    "ros1": Ros1Config, "zenoh": ZenohSettings,
+}  # fmt: skip
 
 
 def test_the_example_names_every_setting_with_its_default(whole: dict[str, Any]) -> None:
     tables = {name: whole.pop(name) for name in OF_OTHERS}
-    observed = [*parts(Config, whole), *((kind, tables[name]) for name, kind in OF_OTHERS.items())]
+    observed = list(parts(Config, whole))
+    for name, kind in OF_OTHERS.items():
+        observed += parts(kind, tables[name])
     assert {kind for kind, _ in observed} >= {Config, SerialConfig, RobotConfig, ApiConfig, TokenConfig}
     for kind, shown in observed:
         fields = [each for each in dataclasses.fields(kind) if each.name not in OF_COMPONENTS]

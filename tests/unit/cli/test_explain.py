@@ -12,8 +12,10 @@ import pytest
 
 from hostlink.cli.check import check
 from hostlink.cli.robots import _robots
+from hostlink.cli.settings import load
 from hostlink.client import Host
-from hostlink.core.config import ApiConfig, Config, RobotConfig, TcpConfig, WheelsConfig, load
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config, RobotConfig, TcpConfig, WheelsConfig
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from tests.support.background import cancelling
 from tests.support.fake_device import robot_topics, topic
@@ -157,7 +159,11 @@ def test_lines_to_copy_are_together_a_settings_file(
     path.write_text("\n".join(line for line in text.splitlines() if is_line.match(line)))
     found = load(path)
     assert {name: robot.address for name, robot in found.robots.items()} == names
-    asyncio.run(check(replace(found, api=ApiConfig(port=0), tcp=TcpConfig(host="127.0.0.1", port=0)), descriptors=1024))
+    asyncio.run(
+        check(
+            replace(found, tcp=TcpConfig(host="127.0.0.1", port=0)).with_tables(api=ApiConfig(port=0)), descriptors=1024
+        )
+    )
     if "duo" in names:
         assert set(found.robots["duo"].locked_topics) == {"/l_motor", "/r_motor"}
         assert ("put these lines into the table [robots.duo] of hostlink.toml" in text) is is_explained

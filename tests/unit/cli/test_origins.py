@@ -3,15 +3,15 @@
 import pytest
 
 from hostlink.cli.serve_command import allow_origins
-from hostlink.components.gateway.settings import is_origin
-from hostlink.core.config import ApiConfig, Config
+from hostlink.components.gateway.settings import ApiConfig, is_origin
+from hostlink.core.config import Config
 from hostlink.errors import ConfigError
 
 
 def test_origins_are_added_to_those_of_the_configuration() -> None:
-    config = Config(api=ApiConfig(origins=("https://one.example",)))
+    config = Config().with_tables(api=ApiConfig(origins=("https://one.example",)))
     allowed = allow_origins(config, ["https://app.foxglove.dev", "file://"])
-    assert allowed.api.origins == ("https://one.example", "https://app.foxglove.dev", "file://")
+    assert allowed.table("api", ApiConfig).origins == ("https://one.example", "https://app.foxglove.dev", "file://")
     assert allow_origins(config, None) == config
 
 

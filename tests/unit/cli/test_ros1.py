@@ -7,7 +7,8 @@ import pytest
 from hostlink.cli.ros1 import MASTER, NODE, _catkin_version, _PortOptions, node_of, with_devices
 from hostlink.cli.ros1_parameters import scalar
 from hostlink.components.ros1.names import parse_arguments
-from hostlink.core.config import Config, Ros1Config
+from hostlink.components.ros1.settings import Ros1Config
+from hostlink.core.config import Config
 from hostlink.errors import ConfigError
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hostlink.cli.settings import load
 from hostlink.cli.settings_file import changed, require_changeable, toml_lines, write_settings
-from hostlink.core.config import load
 from hostlink.errors import ConfigError
 
 FILE = """\

@@ -9,8 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.check import check
+from hostlink.cli.settings import load
 from hostlink.cli.setup import configuration, questions
-from hostlink.core.config import Config, load
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config
 
 QUESTIONS = {question.key: question for question in questions(["/dev/ttyACM0"])}
 DEFAULTS = {key: question.default for key, question in QUESTIONS.items()}
@@ -30,7 +32,11 @@ def test_there_are_ten_and_the_usual_answers_are_accepted() -> None:
 
 def test_the_usual_answers_change_only_the_robots_limit() -> None:
     config = made()
-    assert (config.tcp, config.api, config.serial) == (Config().tcp, Config().api, ())
+    assert (config.tcp, config.table("api", ApiConfig), config.serial) == (
+        Config().tcp,
+        Config().table("api", ApiConfig),
+        (),
+    )
     assert config.robots["robot_0"].max_linear_m_s == 0.5
 
 
@@ -44,7 +50,8 @@ def test_a_board_on_usb_is_a_robot_at_its_port() -> None:
 
 def test_an_api_for_the_network_needs_the_token() -> None:
     config = made(reach="network", network="192.168.4.0/24", robot="-")
-    assert (config.api.host, config.api.tokens[0].role, config.api.tokens[0].token) == ("0.0.0.0", "drive", "a-token")
+    api = config.table("api", ApiConfig)
+    assert (api.host, api.tokens[0].role, api.tokens[0].token) == ("0.0.0.0", "drive", "a-token")
     assert (config.tcp.allow, config.robots) == (("192.168.4.0/24",), {})
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.core.config import Config, EncodersConfig, RobotConfig, SerialConfig, Unit, load
+from hostlink.cli.settings import load
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config, EncodersConfig, RobotConfig, SerialConfig, Unit
 from hostlink.core.robot.wheel_feedback import UNITS, WheelSettings
 from hostlink.errors import ConfigError
 
@@ -55,7 +57,7 @@ def test_every_part_is_read(tmp_path: Path) -> None:
     assert [port.name for port in config.serial] == ["/dev/ttyACM0", "7543031303535190A0A1"]
     assert [port.bauds for port in config.serial] == [(38400,), (57600, 115200)]
     assert config.link.uart_bytes_s == 3840
-    assert config.api.port == 9191
+    assert config.table("api", ApiConfig).port == 9191
     assert config.robots == {
         "robot_0": RobotConfig(address="192.168.4.2", max_wheel_m_s=0.3436, wheel_separation_m=0.21)
     }

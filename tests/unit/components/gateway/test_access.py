@@ -19,8 +19,7 @@ from hostlink.components.gateway.access import (
     is_loopback,
     tls_context,
 )
-from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS
-from hostlink.core.config import ApiConfig, TokenConfig
+from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiConfig, TokenConfig
 from hostlink.errors import ConfigError
 
 DRIVER = TokenConfig(name="phone", role="drive", token="a-token-of-a-driver")

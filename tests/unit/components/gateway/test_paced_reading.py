@@ -15,7 +15,8 @@ from hostlink.components.gateway.listener import (
     ApiConnections,
     PacedReading,
 )
-from hostlink.core.config import ApiConfig, Config
+from hostlink.components.gateway.settings import ApiConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.link.fair_share import TURN_S
 from hostlink.core.transport.base import READ_BYTES
@@ -57,7 +58,7 @@ class Scene:
 
     def __init__(self, behind_since_s: float | None = None) -> None:
         config = ApiConfig(request_timeout_s=TIMEOUT_S)
-        self.hub = Hub(Config(api=config), CATALOG, reraises=True)
+        self.hub = Hub(Config().with_tables(api=config), CATALOG, reraises=True)
         self.connections = ApiConnections(4, 4, request_timeout_s=TIMEOUT_S)
         self.connection = self.connect()
         self.inner, self.transport = Inner(), ApiTransport("127.0.0.1")
@@ -295,7 +296,7 @@ async def test_large_web_socket_message_takes_room_until_it_is_given_back(scene:
     scene.read(bytes(LARGE_BYTES))
     assert (scene.reading.has_room, scene.share.held_bytes) == (False, 0)
     scene.read(b"x")
-    room = min(scene.hub.config.api.max_message_bytes, scene.share.max_bytes)
+    room = min(scene.hub.config.table("api", ApiConfig).max_message_bytes, scene.share.max_bytes)
     assert (scene.reading.has_room, scene.share.held_bytes) == (True, room)
     scene.read(b"x")
     assert scene.share.held_bytes == room

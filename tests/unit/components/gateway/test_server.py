@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from hostlink.components.gateway.server import url_of
-from hostlink.core.config import ApiConfig, Config, TokenConfig
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.core.config import Config
 from hostlink.core.robot.admission import LEASE_S
 from hostlink.core.transport.base import READ_BYTES
 from tests.support.api_memory import Answer, ApiMemory, api_memory
@@ -67,7 +68,7 @@ def test_listed_origin_is_answered_with_cors_headers(check: Callable[..., None])
         assert "PUT" in preflight.headers["Access-Control-Allow-Methods"]
         assert (await api.request("GET", "/api/robots", Origin="http://evil")).status == 403
 
-    check(test, Config(api=ApiConfig(origins=("http://lab",))))
+    check(test, Config().with_tables(api=ApiConfig(origins=("http://lab",))))
 
 
 def test_body_in_two_pieces_drives_the_robot(check: Callable[..., None]) -> None:
@@ -90,7 +91,7 @@ def test_body_that_does_not_arrive_is_answered_408(check: Callable[..., None]) -
         peer.send_head("PUT", VELOCITY, {"Host": "localhost", "Content-Length": str(len(FAST))})
         assert (await api.answer(peer, timeout_s=3.0)).status == 408
 
-    check(test, Config(api=ApiConfig(request_timeout_s=2.0)))
+    check(test, Config().with_tables(api=ApiConfig(request_timeout_s=2.0)))
 
 
 def test_body_over_the_bound_of_its_route_is_answered_413(check: Callable[..., None]) -> None:
@@ -164,14 +165,14 @@ def test_revoked_token_ends_its_web_socket_and_stops_what_it_drives(check: Calla
         peer.send_text(op="drive", id="1", robot="robot_0", linear=0.2, angular=0.0, take_over=True)
         await asyncio.sleep(0.05)
         assert speeds(api)[-1] == (0.2, 0.0)
-        api.server._prepare_access(Config(api=ApiConfig(tokens=TOKENS[1:])))()
+        api.server._prepare_access(Config().with_tables(api=ApiConfig(tokens=TOKENS[1:])))()
         assert len(api.server._owners) == 0  # of REST
         await asyncio.sleep(0.05)
         assert speeds(api)[-1] == (0.0, 0.0)
         assert (peer.transport.is_closed, reader.transport.is_closed) == (True, False)
         assert (await api.request("GET", "/api/robots?token=a-token-that-drives")).status == 401
 
-    check(test, Config(api=ApiConfig(tokens=TOKENS)))
+    check(test, Config().with_tables(api=ApiConfig(tokens=TOKENS)))
 
 
 def test_odometry_events_begin_with_the_known_pose_and_continue_with_each_new_one(check: Callable[..., None]) -> None:
@@ -273,7 +274,7 @@ def test_tokens_decide_what_a_request_may_do(check: Callable[..., None]) -> None
         assert (await api.request("GET", "/healthz")).status == 200
         assert (await api.request("GET", "/")).status == 200
 
-    check(test, Config(api=ApiConfig(tokens=TOKENS)))
+    check(test, Config().with_tables(api=ApiConfig(tokens=TOKENS)))
 
 
 def test_requests_over_the_rate_are_answered_429_and_a_stop_is_not(check: Callable[..., None]) -> None:
@@ -282,7 +283,7 @@ def test_requests_over_the_rate_are_answered_429_and_a_stop_is_not(check: Callab
         assert statuses == [200, 200, 429, 429]
         assert (await api.request("POST", "/api/stop")).status == 200
 
-    check(test, Config(api=ApiConfig(max_requests_s=2.0)))
+    check(test, Config().with_tables(api=ApiConfig(max_requests_s=2.0)))
 
 
 def test_page_is_served_with_its_policy_and_unknown_files_are_not(check: Callable[..., None]) -> None:

@@ -6,7 +6,6 @@ import subprocess
 import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,7 +20,8 @@ from hostlink.components.recorder.mcap_writer import McapWriter
 from hostlink.components.recorder.reader import McapReader
 from hostlink.components.recorder.ring import RingMemory
 from hostlink.components.recorder.salvage import salvage
-from hostlink.core.config import BlackBoxConfig, Config
+from hostlink.components.recorder.settings import BlackBoxConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.robot.velocity import PlanarVelocity
@@ -37,7 +37,7 @@ TEXT = f"/{ROBOT}/text"
 
 @contextlib.asynccontextmanager
 async def running(folder: Path, config: BlackBoxConfig) -> AsyncIterator[tuple[Hub, BlackBox]]:
-    hub = Hub(replace(Config(), black_box=config), CATALOG, reraises=True)
+    hub = Hub(Config().with_tables(black_box=config), CATALOG, reraises=True)
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(hub.run())
         await hub.is_running.wait()
@@ -202,7 +202,7 @@ async def test_incident_of_a_killed_daemon_is_saved_by_the_next_with_its_last_co
         box._memory = RingMemory(1_000_000, purpose=None)
     assert unsaved
     commands: list[LastCommand] = []
-    hub = Hub(Config(black_box=BlackBoxConfig()), CATALOG, reraises=True)
+    hub = Hub(Config().with_tables(black_box=BlackBoxConfig()), CATALOG, reraises=True)
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(hub.run())
         await hub.is_running.wait()

@@ -20,7 +20,8 @@ from hostlink.components.recorder.mcap_writer import FileThread
 from hostlink.components.recorder.reader import McapReader
 from hostlink.components.recorder.recorder import TopicSelection
 from hostlink.components.recorder.recordings import Recordings
-from hostlink.core.config import Config, RecordingConfig
+from hostlink.components.recorder.settings import BlackBoxConfig, RecordingConfig
+from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
 from hostlink.core.robot.events import EventKind
 from hostlink.core.robot.velocity import PlanarVelocity
@@ -37,7 +38,7 @@ BOOL = "std_msgs/Bool"
 @contextlib.asynccontextmanager
 async def running(folder: Path, **settings: object) -> AsyncIterator[tuple[Hub, Recordings]]:
     recording = replace(RecordingConfig(folder=folder), **settings)  # type: ignore[arg-type]
-    async with running_hub(replace(Config(), recording=recording)) as found:
+    async with running_hub(Config().with_tables(recording=recording)) as found:
         yield found
 
 
@@ -227,8 +228,8 @@ async def test_disk_that_does_not_answer_is_a_finding_until_it_does(
 
 async def test_daemon_that_keeps_nothing_has_no_finding_about_its_folder(tmp_path: Path) -> None:
     async with running(tmp_path):
-        config = replace(Config(), recording=RecordingConfig(folder=tmp_path, drives=False))
-        config = replace(config, black_box=replace(config.black_box, enabled=False))
+        config = Config().with_tables(recording=RecordingConfig(folder=tmp_path, drives=False))
+        config = config.with_tables(black_box=replace(config.table("black_box", BlackBoxConfig), enabled=False))
         async with running_hub(config) as (hub, _):
             assert not findings(hub)
 

@@ -13,8 +13,9 @@ from hostlink.components.ros1 import node as module
 from hostlink.components.ros1.connections import Port
 from hostlink.components.ros1.local_node import Ros1Counts
 from hostlink.components.ros1.node import CRASHED, RETRY_S, Ros1, find_host
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.core.components import supervise
-from hostlink.core.config import Config, Ros1Config
+from hostlink.core.config import Config
 from hostlink.core.host import Host
 from hostlink.core.hub.hub import Hub
 from hostlink.core.runtime.cancellation import meanwhile

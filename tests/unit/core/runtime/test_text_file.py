@@ -11,7 +11,8 @@ from hostlink.cli.params import _read
 from hostlink.cli.settings_file import write_settings
 from hostlink.cli.sim import read_world
 from hostlink.components.gateway.access import Access
-from hostlink.core.config import ApiConfig, TokenConfig, load
+from hostlink.components.gateway.settings import ApiConfig, TokenConfig
+from hostlink.core.config import load
 from hostlink.core.messages.catalog import read_definition
 from hostlink.core.runtime.text_file import read_text
 from hostlink.core.transport.keyed import read_key
