@@ -39,6 +39,7 @@ class Queue(Generic[Item]):
         self.dropped = 0
         self.is_too_slow = False
         self.is_closed = False
+        self._is_released = False
         self._size_of, self._clock = size_of, clock
         self._share = Share(SHARES["queues"]) if share is None else share
         self._order = 0
@@ -78,6 +79,8 @@ class Queue(Generic[Item]):
 
     def put_message(self, topic: str, item: Item, at_s: float | None = None) -> None:
         """Queue telemetry that arrived `at_s`. Above a bound, drop the oldest of the topic of which most waits."""
+        if self._is_released:
+            return
         waiting = self._topics.get(topic)
         if waiting is None:
             waiting = self._topics[topic] = deque()
@@ -100,6 +103,8 @@ class Queue(Generic[Item]):
 
     def put_result(self, item: Item) -> None:
         """Queue an answer or an event."""
+        if self._is_released:
+            return
         self._order += 1
         new = Waiting(self._order, item, self._size_of(item), self._clock())
         is_over = self._share.held_bytes > self._share.max_bytes
@@ -149,7 +154,8 @@ class Queue(Generic[Item]):
             continue
 
     def release(self) -> None:
-        """Remove all items, and forget the owner: it and the queue are a reference cycle."""
+        """Remove all items, and forget the owner: it and the queue are a reference cycle. Later items are ignored."""
+        self._is_released = True
         self.clear()
         self.on_news, self.on_dropped = _ignore_news, _ignore_dropped
 

@@ -354,7 +354,7 @@ def answers(history: History) -> list[tuple[float, str]]:
             case Obeyed():
                 is_moving = abs(record.linear_m_s) > STILL_M_S or abs(record.angular_rad_s) > STILL_RAD_S
                 moves[record.robot].append((record.at_s, is_moving))
-            case Answered(state="stopped"):
+            case Answered(state="stopped") if record.robot in moves:  # else a name that two boards shared for a moment
                 known = moves[record.robot]
                 place = bisect.bisect_right(known, (record.began_s, True))
                 if all(is_moving for _, is_moving in known[place - 1 :]):

@@ -246,10 +246,12 @@ class World:
         await self._until(self.loop.world_s + 1.0)
         for board in self.boards:
             before = sum(isinstance(each, Written) and each.number > 0 for each in self.journal.records)
+            connection = board.connection if self._has(board) else None
             program.ride(board.name, RIDE_S)
             await self._until(self.loop.world_s + RIDE_S + 1.0)
             after = sum(isinstance(each, Written) and each.number > 0 for each in self.journal.records)
-            if after < before + board.least_velocities and board.connection is not None:
+            is_same = connection is not None and board.connection is connection  # an earlier fault may end it only now
+            if after < before + board.least_velocities and is_same:
                 self.journal.add(Failed(self.loop.world_s, f"{board.name} cannot be driven when nothing happens"))
             if any(board.velocity):
                 self.journal.add(Failed(self.loop.world_s, f"{board.name} drives on after the last zero"))

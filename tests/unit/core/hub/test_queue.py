@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hostlink.core.hub.byte_budget import Share
 from hostlink.core.hub.queue import MAX_BYTES, MAX_MESSAGES, MAX_RESULT_BYTES, MAX_RESULTS, Queue
 
 
@@ -32,6 +33,17 @@ def test_a_full_queue_drops_the_oldest_of_the_topic_that_fills_it() -> None:
     assert popped[-1] == b"%d" % (MAX_MESSAGES + 9)
     assert len(popped) == MAX_MESSAGES
     assert queue.dropped == 11
+
+
+def test_released_queue_ignores_later_items() -> None:
+    """An answer may be ready only when its client has left."""
+    share = Share(1024)
+    queue = Queue[bytes](len, time.monotonic, share)
+    queue.put_result(b"answer")
+    queue.release()
+    queue.put_result(b"late answer")
+    queue.put_message("/often", b"late message")
+    assert (share.held_bytes, drain(queue), list(share.queues)) == (0, [], [])
 
 
 def test_a_new_topic_makes_room_in_the_longest() -> None:
