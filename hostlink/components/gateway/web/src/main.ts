@@ -238,7 +238,9 @@ function show(): void {
   showConnection();
   notice(
     "robot",
-    robot && !robot.connected ? `${robot.name} is not connected. Without a link it stops by itself.` : null,
+    robot && !robot.connected
+      ? `${robot.name} is not connected. If its firmware has no watchdog, it may drive on.`
+      : null,
   );
 }
 
