@@ -140,6 +140,8 @@ class GateHistory(RuleBasedStateMachine):
         try:
             limited = self.gate.drive(owner, velocity, priority=priority, now_s=self.now_s)
         except CommandRefused:  # who may drive is decided by Admission, which has a test of its own
+            if self.owner == owner and self.gate.owner_name is None:  # two at once after a silence end the drive
+                self.end(self.now_s)
             self.step()
             return
         assert limited == self.limits.apply(velocity)
