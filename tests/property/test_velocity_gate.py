@@ -140,7 +140,7 @@ class GateHistory(RuleBasedStateMachine):
         try:
             limited = self.gate.drive(owner, velocity, priority=priority, now_s=self.now_s)
         except CommandRefused:  # who may drive is decided by Admission, which has a test of its own
-            if self.owner == owner and self.gate.owner_name is None:  # two at once after a silence end the drive
+            if self.owner == owner and self.gate.admission.driver(self.gate, self.now_s) is None:  # two came at once
                 self.end(self.now_s)
             self.step()
             return
