@@ -140,9 +140,7 @@ class GateHistory(RuleBasedStateMachine):
         try:
             limited = self.gate.drive(owner, velocity, priority=priority, now_s=self.now_s)
         except CommandRefused:  # who may drive is decided by Admission, which has a test of its own
-            if self.owner == owner and self.gate.admission.driver(self.gate, self.now_s) is None:  # two came at once
-                self.end(self.now_s)
-            self.step()
+            self.notice_the_refusal(owner)
             return
         assert limited == self.limits.apply(velocity)
         if self.owner is None and self.given.is_zero:
@@ -171,7 +169,7 @@ class GateHistory(RuleBasedStateMachine):
     def somebody_sends_no_number(self, owner: str, velocity: PlanarVelocity, priority: int) -> None:
         with pytest.raises(CommandRefused):
             self.gate.drive(owner, velocity, priority=priority, now_s=self.now_s)
-        self.step()
+        self.notice_the_refusal(owner)
 
     @rule(owner=owners)
     def somebody_leaves(self, owner: str) -> None:
@@ -276,6 +274,13 @@ class GateHistory(RuleBasedStateMachine):
         assert self.now_s < self.deadline_s
         if (*gains, *losses) == (None,) * 4:
             assert given_ == self.wanted
+
+    def notice_the_refusal(self, owner: str) -> None:
+        """Two commands at once after a silence end the drive of their source."""
+        if self.owner == owner and self.gate.admission.driver(self.gate, self.now_s) is None:
+            self.notice_the_end()
+            self.end(self.now_s)
+        self.step()
 
     def notice_the_end(self) -> None:
         if self.owner is not None and self.now_s >= self.deadline_s:

@@ -57,10 +57,10 @@ A source that drives keeps its velocity topic from sources of the same priority 
 drives or takes over again, and no epoch replaces that: of two that say `take_over` with each command, one drives. A
 source that a higher priority overruled may drive as soon as the higher one lets go.
 
-A command without the current epoch may be from before a stop if it has waited, here or on its way, since more than
-UNORDERED_S before the stop took effect: its source is disarmed. A command that was sent after the stop was answered has
-not waited for so long. A pause counts from its beginning, so the order of a stop and a command that arrived in it is
-not known.
+A command without the current epoch is from before a stop if it has waited, here or on its way, since more than
+UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
+A pause counts from its beginning: of a stop and a command that arrived in it the order is not known. A command that has
+waited for a lease counts as earlier then: it is refused, and its source may have begun before the stop.
 
 A lease without a command is one of the source's own making: from the arrival of a command to the earliest time at which
 the next one may have been sent. A network or a daemon that delays commands makes none. Of a command without `sent_s`
@@ -318,7 +318,8 @@ class Admission:
     _drivers: dict[Hashable, Lease] = field(default_factory=dict)  # by velocity topic
     _joined: dict[Hashable, EarlierMotion] = field(default_factory=dict)
     _disconnected_s: float = float("-inf")
-    _stopped_s: float = float("-inf")  # effect of the newest interruption whose time of arrival is known
+    _stopped_s: float = float("-inf")  # arrival of the newest interruption of which it is known
+    _obeyed_s: float = float("-inf")  # when the newest stop, unlock or reconnection took effect
     _interrupted_s: float = float("-inf")
     _unrecorded_s: float = float("-inf")  # the newest non-zero command of a source without a record
     _unarmed_until_s: float = float("-inf")  # sources without a record are disarmed until then
@@ -358,7 +359,8 @@ class Admission:
         if joined is not None and command.epoch is None:
             command = command._replace(epoch=joined.pop_epoch(command.received_s))
         if command.epoch is None:
-            is_earlier = now_s - waited_s < self._stopped_s - UNORDERED_S
+            stopped_s = self._obeyed_s if waited_s >= self.lease_s else self._stopped_s
+            is_earlier = now_s - waited_s < stopped_s - UNORDERED_S
         else:
             is_earlier = command.epoch != self.epoch
         if is_earlier:
@@ -605,10 +607,11 @@ class Admission:
         """
         if since_s is None:
             since_s = now_s if came_s is None else min(came_s, now_s)
+            self._obeyed_s = self._obeyed_s if came_s is None else now_s
         self.epoch += 1
         self.interrupted_by, self._interrupted_s = by, now_s
         if came_s is not None:
-            self._stopped_s = now_s
+            self._stopped_s = max(self._stopped_s, came_s)
         self._drivers.clear()
         if since_s < self._unrecorded_s + self.lease_s:
             self.distrust(now_s)
