@@ -51,15 +51,28 @@ class _DeviceCall:
     """A request of a device, until it is answered."""
 
     def __init__(self, link: Link, event: ServiceRequested, now_s: float) -> None:
-        self.link, self.endpoint, self.payload = link, event.service, event.payload
+        self.link, self.endpoint, self.payload, self.request = link, event.service, event.payload, event.request
         self.negotiations = link.session.counts.negotiations  # before the call
         self.deadline_s = now_s + DEVICE_TIMEOUT_S
-        self.is_over = False  # the device no longer waits for the answer
+        self._is_dropped = False
         self.ends: set[asyncio.Timeout] = set()  # of what is done for it now
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the device no longer waits for the answer."""
+        is_known = self.request is None or self.link.session.is_waiting_for(self.endpoint, self.request)
+        return self._is_dropped or not is_known
+
+    def is_given_up_for(self, newer: "_DeviceCall") -> bool:
+        """Whether a newer call shows that the device no longer waits for the answer to this one.
+
+        ros_lib gives a call up when its topics are requested, and takes any answer for that to its newest call.
+        """
+        return self.is_over or (self.request is None and self.negotiations < newer.negotiations)
 
     def drop(self) -> None:
         """End the call: the device no longer waits for the answer."""
-        self.is_over = True
+        self._is_dropped = True
         for end in self.ends:
             expire(end)
 
@@ -90,10 +103,12 @@ class DeviceCalls:
             self._spawn(self._work(of_link, event.service.id), name=f"service calls of link {link.number}")
             return
         for older in waiting or ():
-            if older.negotiations < call.negotiations:  # ros_lib gives a call up when its topics are requested
+            if older.is_given_up_for(call):
                 older.drop()
-        if waiting is None or len(waiting) > MAX_WAITING or _count(of_link) >= MAX_CALLS:
-            self._refuse(call, is_only=waiting is None)
+        if waiting is None or _count(of_link) >= MAX_CALLS:
+            self._refuse(call, _count(of_link), is_only=waiting is None)
+        elif len(waiting) > MAX_WAITING:
+            self._refuse(call, len(waiting), is_only=False)
         else:
             waiting.append(call)
 
@@ -103,11 +118,11 @@ class DeviceCalls:
             for call in waiting:
                 call.drop()
 
-    def _refuse(self, call: _DeviceCall, *, is_only: bool) -> None:
+    def _refuse(self, call: _DeviceCall, waiting: int, *, is_only: bool) -> None:
         """Answer with DeviceBusy. Without room for the answer, end the link unless earlier answers are queued."""
         self.refused += 1
         try:
-            self._respond(call, DeviceBusy(call.endpoint.name, MAX_CALLS))
+            self._respond(call, DeviceBusy(call.endpoint.name, waiting))
         except HostlinkError as error:
             if is_only:
                 self._spawn(self._end(call, error), name=f"end of link {call.link.number}")
@@ -177,7 +192,10 @@ class DeviceCalls:
         response = session.response_endpoint(call.endpoint)
         known = None if session.is_refused(response) else self._catalog.service(response.type)
         payload, problem = encode_response(None if known is None else known.response, outcome, response, session)
-        session.respond(response, payload)
+        if call.request is None:
+            session.respond(response, payload)
+        else:
+            session.respond(response, payload, request=call.request)
         if problem is not None:
             is_cut = isinstance(problem, FrameTooLarge)
             event = "service.cut" if is_cut else "service.failed"

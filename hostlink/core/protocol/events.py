@@ -58,10 +58,15 @@ class MessageReceived(NamedTuple):
 
 
 class ServiceRequested(NamedTuple):
-    """The device calls a service of the host."""
+    """The device calls a service of the host.
+
+    `request` is the identity of the request, as the protocol chooses it: the hub returns it with the response. None: a
+    response has no identity, and the device takes the next one for that to its oldest request.
+    """
 
     service: DeviceEndpoint
     payload: bytes
+    request: bytes | None = None
 
 
 class ServiceResponded(NamedTuple):

@@ -254,13 +254,19 @@ class DeviceSession(ABC):
         """
 
     @abstractmethod
-    def respond(self, response: DeviceEndpoint, payload: bytes | None) -> None:
+    def respond(self, response: DeviceEndpoint, payload: bytes | None, *, request: bytes | None = None) -> None:
         """Queue a response to a request of the device; None: its layout is unknown.
+
+        `request` is the identity from `ServiceRequested`. It is not passed to a session whose requests have none.
 
         Raises:
             FrameTooLarge: the device's buffer is smaller.
             DeviceBusy: too many requests and responses wait.
         """
+
+    def is_waiting_for(self, service: DeviceEndpoint, request: bytes) -> bool:  # noqa: ARG002 - for those with identity
+        """Whether the device still waits for the response to a request with this identity, at a service of the host."""
+        return True
 
     @abstractmethod
     def room_bytes(self, endpoint: DeviceEndpoint) -> int:

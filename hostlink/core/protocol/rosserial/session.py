@@ -380,7 +380,13 @@ class Session(DeviceSession):
         """Whether this endpoint was refused because of its type."""
         return info.key in self._refused
 
-    def respond(self, response: DeviceEndpoint, payload: bytes | None) -> None:
+    def respond(
+        self,
+        response: DeviceEndpoint,
+        payload: bytes | None,
+        *,
+        request: bytes | None = None,  # noqa: ARG002 - a request has no identity
+    ) -> None:
         """Queue a response to a request of the device.
 
         `payload` is None when the layout is unknown. Then zeros are sent: they decode as empty strings, empty lists and

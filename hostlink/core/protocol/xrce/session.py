@@ -178,6 +178,7 @@ class XrceSession(DeviceSession):
         self._acks: dict[tuple[int, bytes, int], None] = {}  # streams to acknowledge
         self._calls: dict[int, deque[int]] = {}  # numbers of calls to a service of the device
         self._call_number = 0
+        self._requests = 0  # of the device, since the link opened
         self._undecodable = 0
         if state is not None:
             self._resume(state)
@@ -565,24 +566,29 @@ class XrceSession(DeviceSession):
             raise UnknownTopic("endpoint for responses", request.name)
         return response
 
-    def respond(self, response: DeviceEndpoint, payload: bytes | None) -> None:
-        """Queue a response to the oldest request of this endpoint.
+    def respond(self, response: DeviceEndpoint, payload: bytes | None, *, request: bytes | None = None) -> None:
+        """Queue a response to the request with this identity.
 
         `payload` is None when the layout is unknown. Then zeros are sent, as for rosserial.
 
         Raises:
             FrameTooLarge: the device has less room.
             DeviceBusy: too many requests and responses wait.
-            UnknownTopic: the device waits for no response.
+            UnknownTopic: the device does not wait for this response.
         """
         client = self._client_of(response)
         waiting = None if client is None else client.calls.get(object_id(response))
-        if client is None or not waiting:
+        if client is None or waiting is None or request is None or request not in waiting:
             raise UnknownTopic("request", response.name)
         content = bytes(ZEROS_BYTES) if payload is None else self._translated(response, payload)
         self._check_room(client, response, content)
-        self._put_sample(client, response, waiting[0] + content)
-        waiting.popleft()
+        self._put_sample(client, response, request[-REQUEST_BYTES:] + content)
+        waiting.remove(request)
+
+    def is_waiting_for(self, service: DeviceEndpoint, request: bytes) -> bool:
+        """Whether the device still waits for the response to this request: it has not begun anew meanwhile."""
+        client = self._client_of(service)
+        return client is not None and request in client.calls.get(object_id(service), ())
 
     def room_bytes(self, endpoint: DeviceEndpoint) -> int:
         """Longest payload that the device takes at an endpoint: in one message, or in as many as its history holds."""
@@ -911,6 +917,7 @@ class XrceSession(DeviceSession):
         reliable = client.inputs.get(message.stream)
         if message.number == 0 or (reliable is not None and abs(distance(reliable.next, message.number)) > WINDOW):
             client.reset_streams(now_s)
+            client.drop_calls()
             client.is_announced = False
             self.quality.restarts += 1
             self.outbox.drop_messages()
@@ -986,12 +993,15 @@ class XrceSession(DeviceSession):
             return
         content = payload[REQUEST_BYTES:]
         translated = content if endpoint.key in self._refused else self._payload(endpoint, content)
-        waiting = client.calls.setdefault(object_id(endpoint), deque())
-        if translated is None or len(waiting) >= CALLS_MAX:
+        id_ = object_id(endpoint)
+        waiting = client.calls.setdefault(id_, set())
+        if translated is None or len(waiting) + len(client.samples.get(id_, ())) >= CALLS_MAX:
             self.counts.refused_frames += 1
             return
-        waiting.append(payload[:REQUEST_BYTES])
-        found.append(events.ServiceRequested(endpoint, translated))
+        self._requests += 1
+        request = self._requests.to_bytes(8, "little") + payload[:REQUEST_BYTES]  # a board that restarts repeats these
+        waiting.add(request)
+        found.append(events.ServiceRequested(endpoint, translated, request))
 
     def _take_response(self, endpoint: DeviceEndpoint, content: bytes, found: list[events.Event]) -> None:
         """Take the response to a call. Those before it are no longer answered."""
