@@ -67,8 +67,12 @@ class Links:
         robots: Robots,
         robot_topics: RobotTopicPublisher,
         log_line: Callable[[str, events.DeviceLogged], None],
+        first_call: Callable[[], int],
     ) -> None:
-        """`log_line` shows a line of a device's log in the graph, by the name of its source."""
+        """`log_line` shows a line of a device's log in the graph, by the name of its source.
+
+        `first_call` draws the number of a connection's first call of a service.
+        """
         self.parameter_source: ParameterSource | None = None  # for parameters that are not set here
         self.wall_ns = shared.wall_ns  # time in answers to devices
         self.undelivered = 0  # dropped messages of devices that were not identified yet
@@ -76,7 +80,7 @@ class Links:
         self.on_named: Callable[[], None] = lambda: None  # called when a robot has its name
         self.memories = Memories()
         self._shared, self._robots, self._devices = shared, robots, robots.devices
-        self._robot_topics, self._log_in_graph = robot_topics, log_line
+        self._robot_topics, self._log_in_graph, self._first_call = robot_topics, log_line, first_call
         self._directory = Directory(addresses_of(shared.config), commands_by_name(shared.config))
         self._ends = shared.turns()
         self.calls = DeviceCalls(shared, give_up=self._give_up, name_of=self._service_name)
@@ -112,6 +116,7 @@ class Links:
             max_topics=config.max_topics,
             is_lossy=transport.kind == "udp",
         )
+        session.number_calls(self._first_call())
         link = Link(
             transport,
             session,

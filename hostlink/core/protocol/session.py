@@ -245,6 +245,9 @@ class DeviceSession(ABC):
             DeviceBusy: too many requests and responses wait.
         """
 
+    def number_calls(self, first: int) -> None:  # noqa: B027 - for protocols whose calls have numbers
+        """Give the next call this number, of any size: an answer to an earlier daemon's call must not be that to it."""
+
     @abstractmethod
     def response_endpoint(self, request: DeviceEndpoint) -> DeviceEndpoint:
         """Return the endpoint at which the device receives the response to a request of this endpoint.

@@ -87,6 +87,7 @@ ZERO_NUMBERS: Final = (0, 0x5555, 0xAAAA)
 STOP_INTERVAL_S: Final = 0.12  # a client asks for an acknowledgement after 100 ms without a message
 ACKNOWLEDGER: Final = "hostlink.core.protocol.xrce.acknowledging"
 ZEROS_BYTES: Final = 64  # of a response whose layout is unknown
+CALL_NUMBERS: Final = 2**32 - 1  # of calls, from 1 on
 CALLS_MAX: Final = 16  # of one service client or service of the device, waiting
 FRAGMENT_BYTE: Final = bytes((Kind.FRAGMENT,))
 ACK_S: Final = 0.005  # a client sends the next fragment sooner than this
@@ -177,7 +178,7 @@ class XrceSession(DeviceSession):
         self._is_restarted = False  # since the last announcement
         self._acks: dict[tuple[int, bytes, int], None] = {}  # streams to acknowledge
         self._calls: dict[int, deque[int]] = {}  # numbers of calls to a service of the device
-        self._call_number = 0
+        self._call_number = 1  # of the next call; 0 is that of `zero_frames`
         self._requests = 0  # of the device, since the link opened
         self._undecodable = 0
         if state is not None:
@@ -551,9 +552,14 @@ class XrceSession(DeviceSession):
         waiting = self._calls.setdefault(endpoint.id, deque())
         if len(waiting) >= CALLS_MAX:
             raise DeviceBusy(service, len(waiting))
-        self._call_number += 1
-        self._put_sample(client, endpoint, _identity(self._call_number) + content)
-        waiting.append(self._call_number)
+        number = self._call_number
+        self._put_sample(client, endpoint, _identity(number) + content)
+        waiting.append(number)
+        self.number_calls(number + 1)
+
+    def number_calls(self, first: int) -> None:
+        """Give the next call this number: an answer to an earlier daemon's call must not be that to it."""
+        self._call_number = (first - 1) % CALL_NUMBERS + 1
 
     def response_endpoint(self, request: DeviceEndpoint) -> DeviceEndpoint:
         """Return the endpoint at which the device receives the response to a request of this endpoint.

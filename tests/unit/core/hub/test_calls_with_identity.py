@@ -14,6 +14,7 @@ from hostlink.core.config import Config
 from hostlink.core.hub.device_calls import MAX_CALLS, MAX_WAITING
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.services import DEVICE_TIMEOUT_S, Provider
+from hostlink.core.hub.shared import draw_call
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.session import DeviceSession
@@ -21,7 +22,7 @@ from tests.support.fake_device import CATALOG, service_type
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.ros_lib_device import running_hub
 from tests.support.text_protocol import TextProtocol, TextSession
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, virtual
 
 SET_BOOL = "std_srvs/SetBool"
 RESPONSE = service_type(SET_BOOL).response
@@ -212,3 +213,18 @@ def test_session_whose_requests_have_no_identity_is_called_without_one_and_answe
             return await answers(end, 2)
 
     assert run_virtual(run()) == ["- True execution 0", "- False execution 1"]
+
+
+@virtual
+async def test_first_call_of_each_connection_has_a_number_that_is_drawn() -> None:
+    class Numbered(CallingSession):
+        def number_calls(self, first: int) -> None:
+            given.append(first)
+
+    given: list[int] = []
+    drawn = iter((7, 1234))
+    hub = Hub(Config(), CATALOG, first_call=lambda: next(drawn))
+    for _ in range(2):
+        hub.links.open(memory_pair()[0], CallingProtocol(Numbered))
+    assert given == [7, 1234]
+    assert draw_call() != draw_call()

@@ -806,6 +806,22 @@ def test_undecodable_response_is_counted() -> None:
     assert here.session.wrong_sizes == 1
 
 
+@pytest.mark.parametrize("first", [5, 2**32 - 1, 2**32, 2**40 + 7])
+def test_calls_are_numbered_from_the_given_number_and_none_has_that_of_a_zero(first: int) -> None:
+    here = connected()
+    here.session.number_calls(first)
+    for _ in range(3):
+        here.session.call("/led", REQUEST)
+        here.write()
+        here.run(here.now_s + 0.5)
+        answered(here.client)
+        here.do(here.client.confirm(1.0))
+    numbers = [int.from_bytes(payload[20:24], "little") for payload in taken(here, REPLIER)]
+    assert len(set(numbers)) == len(of_kind(here, events.ServiceResponded)) == 3
+    assert 0 not in numbers
+    assert numbers[0] == first or first >= 2**32
+
+
 def test_calls_that_wait_are_bounded() -> None:
     here = connected()
     for _ in range(CALLS_MAX):
