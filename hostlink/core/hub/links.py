@@ -250,7 +250,7 @@ class Links:
 
     def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
         service = device.services.get(event.service.name)
-        is_answered = service is not None and service.answered(event.payload)
+        is_answered = service is not None and service.answered(event.payload, event.request)
         if not is_answered and event.service.name != device.stop_service:  # no call waits for those of zeros
             self.late_answers += 1
             log.warning("service.late", service=printable(event.service.name))

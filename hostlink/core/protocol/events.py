@@ -70,10 +70,15 @@ class ServiceRequested(NamedTuple):
 
 
 class ServiceResponded(NamedTuple):
-    """A service of the device answered."""
+    """A service of the device answered.
+
+    `request` is the identity that `DeviceSession.call` returned for the request. None: answers have no identity, and
+    this one is that to the oldest request.
+    """
 
     service: DeviceEndpoint
     payload: bytes
+    request: bytes | None = None
 
 
 class TimeRequested(NamedTuple):

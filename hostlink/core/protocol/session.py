@@ -235,8 +235,10 @@ class DeviceSession(ABC):
         """
 
     @abstractmethod
-    def call(self, service: str, payload: bytes) -> None:
-        """Queue a request to a service of the device.
+    def call(self, service: str, payload: bytes) -> bytes | None:
+        """Queue a request to a service of the device. Return its identity, which `ServiceResponded` has.
+
+        None: the device's answers have no identity. Then an answer that is late must not be taken for the next one.
 
         Raises:
             UnknownTopic: the device has no such service.

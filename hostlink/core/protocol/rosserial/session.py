@@ -350,7 +350,7 @@ class Session(DeviceSession):
         return self._to_service(service, payload)[0]
 
     def call(self, service: str, payload: bytes) -> None:
-        """Queue a request to a service of the device.
+        """Queue a request to a service of the device. It has no identity.
 
         Raises:
             UnknownTopic: the device has no such service.

@@ -177,7 +177,7 @@ class XrceSession(DeviceSession):
         self._announce_s = math.inf  # when the endpoints are complete
         self._is_restarted = False  # since the last announcement
         self._acks: dict[tuple[int, bytes, int], None] = {}  # streams to acknowledge
-        self._calls: dict[int, deque[int]] = {}  # numbers of calls to a service of the device
+        self._calls: dict[int, deque[int]] = {}  # numbers of the last calls to a service of the device
         self._call_number = 1  # of the next call; 0 is that of `zero_frames`
         self._requests = 0  # of the device, since the link opened
         self._undecodable = 0
@@ -538,8 +538,8 @@ class XrceSession(DeviceSession):
         """
         return self._to_service(service, payload)[0]
 
-    def call(self, service: str, payload: bytes) -> None:
-        """Queue a request to a service of the device.
+    def call(self, service: str, payload: bytes) -> bytes:
+        """Queue a request to a service of the device, and return its identity.
 
         Raises:
             UnknownTopic: the device has no such service.
@@ -549,13 +549,11 @@ class XrceSession(DeviceSession):
         """
         endpoint, client, content = self._to_service(service, payload)
         self._check_prompt(endpoint, len(content))
-        waiting = self._calls.setdefault(endpoint.id, deque())
-        if len(waiting) >= CALLS_MAX:
-            raise DeviceBusy(service, len(waiting))
-        number = self._call_number
-        self._put_sample(client, endpoint, _identity(number) + content)
-        waiting.append(number)
+        number, identity = self._call_number, _identity(self._call_number)
+        self._put_sample(client, endpoint, identity + content)
+        self._calls.setdefault(endpoint.id, deque(maxlen=CALLS_MAX)).append(number)
         self.number_calls(number + 1)
+        return identity
 
     def number_calls(self, first: int) -> None:
         """Give the next call this number: an answer to an earlier daemon's call must not be that to it."""
@@ -1020,7 +1018,7 @@ class XrceSession(DeviceSession):
             self.counts.refused_frames += 1
         payload = self._payload(endpoint, content[SAMPLE_IDENTITY_BYTES:])
         if payload is not None:
-            found.append(events.ServiceResponded(endpoint, payload))
+            found.append(events.ServiceResponded(endpoint, payload, _identity(number)))
 
     def _take_acknack(self, client: XrceClient, told: Range, found: list[events.Event]) -> None:
         now_s = self._now_s

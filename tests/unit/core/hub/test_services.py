@@ -72,6 +72,28 @@ def test_call_without_answer_fails_at_its_deadline_and_its_late_answer_is_not_th
     run_virtual(test())
 
 
+def test_call_with_an_identity_waits_for_no_late_answer_and_takes_none() -> None:
+    async def test() -> None:
+        numbers = iter((b"1", b"2"))
+        service = DeviceService("/s", TRIGGER, CATALOG.service(TRIGGER), "link 1", lambda _: next(numbers))
+        loop = asyncio.get_running_loop()
+        with pytest.raises(ServiceFailed, match="2"):
+            await service.call(b"", timeout_s=2.0)
+        assert not service.is_awaited
+        began_s = loop.time()
+        async with asyncio.TaskGroup() as tasks:
+            second = tasks.create_task(service.call(b"", timeout_s=4.0))
+            await asyncio.sleep(0.1)
+            assert not service.is_awaited
+            assert not service.answered(b"late", b"1")
+            assert service.answered(b"two", b"2")
+        assert second.result() == b"two"
+        assert loop.time() - began_s < 0.2
+        assert not service.answered(b"two", b"2")
+
+    run_virtual(test())
+
+
 def test_late_answer_that_never_arrives_delays_the_next_call_by_half_its_time() -> None:
     async def test() -> None:
         service, sent = device_service()

@@ -824,10 +824,23 @@ def test_calls_are_numbered_from_the_given_number_and_none_has_that_of_a_zero(fi
 
 def test_calls_that_wait_are_bounded() -> None:
     here = connected()
+    here.session._clients[0x81, b""].output.window = 0  # the board reads nothing
     for _ in range(CALLS_MAX):
         here.session.call("/led", REQUEST)
     with pytest.raises(DeviceBusy):
         here.session.call("/led", REQUEST)
+
+
+def test_service_that_has_answered_no_call_so_far_is_called_again() -> None:
+    here = connected()
+    for _ in range(3 * CALLS_MAX):
+        identity = here.session.call("/led", REQUEST)
+        here.write()
+        here.do(here.client.listen(0.2))
+    answered(here.client)
+    here.do(here.client.confirm(1.0))
+    (responded,) = of_kind(here, events.ServiceResponded)
+    assert responded.request == identity  # type: ignore[attr-defined]
 
 
 def test_board_calls_a_service_and_gets_the_response_to_its_request() -> None:
