@@ -95,6 +95,7 @@ class Links:
             events.TopicsAnswered: _note_answer,
             events.ServiceRequested: lambda device, event: self.calls.accept(device.link, event),
             events.ServiceResponded: self._pass_answer,
+            events.ResponseRefused: self._fail_call,
             events.ParameterRequested: self._answer_parameter,
             events.DeviceLogged: self._log_line,
             events.VersionRefused: _log_version,
@@ -250,10 +251,18 @@ class Links:
 
     def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
         service = device.services.get(event.service.name)
-        is_answered = service is not None and service.answered(event.payload, event.request)
-        if not is_answered and event.service.name != device.stop_service:  # no call waits for those of zeros
+        if service is None or not service.answered(event.payload, event.request):
+            self._note_late(device, event.service.name)
+
+    def _fail_call(self, device: Device, event: events.ResponseRefused) -> None:
+        service = device.services.get(event.service.name)
+        if service is None or not service.refused(event.reason, event.request):
+            self._note_late(device, event.service.name)
+
+    def _note_late(self, device: Device, service: str) -> None:
+        if service != device.stop_service:  # no call waits for the answers to zeros
             self.late_answers += 1
-            log.warning("service.late", service=printable(event.service.name))
+            log.warning("service.late", service=printable(service))
 
     # -- which robot a device is --------------------------------------------------------------------------------------
 

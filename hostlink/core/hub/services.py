@@ -66,6 +66,7 @@ class DeviceService:
             DeviceGone: the device disconnected.
             ServiceFailed: no answer within timeout_s seconds.
             FrameTooLarge: the device's buffer is smaller than the request.
+            BadPayload: the answer is not of its type.
         """
         if self._calls > MAX_WAITING:
             raise DeviceBusy(self.name, self._calls)
@@ -80,14 +81,27 @@ class DeviceService:
 
     def answered(self, payload: bytes, request: bytes | None = None) -> bool:
         """Pass on an answer of the device, to the request of this identity. Return False if no call waits for it."""
+        answer = self._awaiting(request)
+        if answer is not None:
+            answer.set_result(payload)
+        return answer is not None
+
+    def refused(self, reason: HostlinkError, request: bytes | None = None) -> bool:
+        """Fail the call with this identity, whose answer is not of its type. Return False if no call waits for it."""
+        answer = self._awaiting(request)
+        if answer is not None:
+            answer.set_exception(reason)
+        return answer is not None
+
+    def _awaiting(self, request: bytes | None) -> asyncio.Future[bytes] | None:
+        """Return what waits for the answer to a request. None: nothing does; a late answer has come then."""
         if request != self._request:
-            return False
+            return None
         if self._answer is not None and not self._answer.done():
-            self._answer.set_result(payload)
-            return True
+            return self._answer
         if self._late is not None and not self._late.done():
             self._late.set_result(None)
-        return False
+        return None
 
     @property
     def is_awaited(self) -> bool:

@@ -81,6 +81,14 @@ class ServiceResponded(NamedTuple):
     request: bytes | None = None
 
 
+class ResponseRefused(NamedTuple):
+    """A service of the device answered, but not with a message of its type. `request` as in ServiceResponded."""
+
+    service: DeviceEndpoint
+    reason: HostlinkError
+    request: bytes | None = None
+
+
 class TimeRequested(NamedTuple):
     """The device requested the time; the answer is queued."""
 
@@ -122,6 +130,7 @@ Event = (
     | MessageReceived
     | ServiceRequested
     | ServiceResponded
+    | ResponseRefused
     | TimeRequested
     | ParameterRequested
     | DeviceLogged

@@ -1016,9 +1016,14 @@ class XrceSession(DeviceSession):
             return
         while waiting.popleft() != number:
             self.counts.refused_frames += 1
-        payload = self._payload(endpoint, content[SAMPLE_IDENTITY_BYTES:])
-        if payload is not None:
-            found.append(events.ServiceResponded(endpoint, payload, _identity(number)))
+        identity, content = _identity(number), content[SAMPLE_IDENTITY_BYTES:]
+        try:
+            payload = self._payloads.from_device(endpoint, content)
+        except BadPayload as error:
+            self._undecodable += 1
+            found.append(events.ResponseRefused(endpoint, error.with_traceback(None), identity))
+        else:
+            found.append(events.ServiceResponded(endpoint, payload, identity))
 
     def _take_acknack(self, client: XrceClient, told: Range, found: list[events.Event]) -> None:
         now_s = self._now_s

@@ -18,6 +18,7 @@ from hostlink.core.hub.shared import draw_call
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.session import DeviceSession
+from hostlink.errors import BadPayload
 from tests.support.fake_device import CATALOG, service_type
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.ros_lib_device import running_hub
@@ -95,6 +96,35 @@ class CallingProtocol(TextProtocol):
 
     def session(self, *_: object, **__: object) -> DeviceSession:
         return self._session()
+
+
+class ServingSession(CallingSession):
+    """A session whose device has the service /led: it hears `CALL 1`, and answers `RIGHT 1` or `WRONG 1`."""
+
+    calls = 0
+
+    def _read(self, words: list[str], now_s: float, found: list[events.Event]) -> bool:
+        led = DeviceEndpoint(EndpointKind.SERVICE_SERVER_PUBLISHER, 9, "/led", SET_BOOL)
+        match words:
+            case ["RIGHT", identity]:
+                payload = RESPONSE.encode({"success": True, "message": identity})
+                found.append(events.ServiceResponded(led, payload, identity.encode()))
+            case ["WRONG", identity]:
+                reason = BadPayload(RESPONSE.name, "37 bytes")
+                found.append(events.ResponseRefused(led, reason, identity.encode()))
+            case ["HELLO", name]:
+                super()._read(["HELLO", name], now_s, [])
+                self._topics += (led, led._replace(kind=EndpointKind.SERVICE_SERVER_SUBSCRIBER))
+                found.append(events.TopicsNegotiated(self._topics, is_changed=True, gap_at=None))
+            case _:
+                return super()._read(words, now_s, found)
+        return True
+
+    def call(self, service: str, payload: bytes) -> bytes:
+        assert (service, payload) == ("/led", b"\1")
+        self.calls += 1
+        self.outbox.put_call(service, f"CALL {self.calls}\n".encode())
+        return str(self.calls).encode()
 
 
 class Program:
@@ -228,3 +258,22 @@ async def test_first_call_of_each_connection_has_a_number_that_is_drawn() -> Non
         hub.links.open(memory_pair()[0], CallingProtocol(Numbered))
     assert given == [7, 1234]
     assert draw_call() != draw_call()
+
+
+def test_answer_of_a_device_that_is_not_of_its_type_fails_its_call_alone_and_at_once() -> None:
+    async def answering(end: MemoryTransport, lines: bytes) -> None:
+        await asyncio.sleep(0.1)
+        await end.send(lines)
+
+    async def run() -> None:
+        async with device(Program(0.0), ServingSession, services="") as (hub, end), asyncio.TaskGroup() as tasks:
+            began_s = asyncio.get_running_loop().time()
+            tasks.create_task(answering(end, b"WRONG 1\n"))
+            with pytest.raises(BadPayload, match=r"^std_srvs/SetBoolResponse: 37 bytes$"):
+                await hub.services.call("/led", {"data": True})
+            tasks.create_task(answering(end, b"WRONG 1\nRIGHT 1\nRIGHT 2\n"))
+            assert await hub.services.call("/led", {"data": True}) == {"success": True, "message": "2"}
+            assert asyncio.get_running_loop().time() - began_s < 0.3
+            assert hub.links.late_answers == 2
+
+    run_virtual(run())

@@ -28,7 +28,7 @@ from hostlink.core.protocol.xrce.session import (
     endpoint_id,
     object_id,
 )
-from hostlink.errors import DeviceBusy, FrameTooLarge, UnknownTopic, WrongType
+from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, UnknownTopic, WrongType
 from tests.support import xrce_board as board
 from tests.support.xrce_board import TWIST, XML, Client, Link, Program, World, sub
 
@@ -796,14 +796,22 @@ def test_response_that_arrives_twice_or_without_a_call_is_dropped() -> None:
     assert here.session.counts.refused_frames == 3
 
 
-def test_undecodable_response_is_counted() -> None:
+@pytest.mark.parametrize("content", [b"", b"\1", RESPONSE_CDR + b"zzzzzzzz", b"\1\0\0\0\xff\xff\xff\xffabc"])
+def test_undecodable_response_is_counted_and_reported_with_the_reason(content: bytes) -> None:
     here = connected()
-    here.session.call("/led", REQUEST)
+    request = here.session.call("/led", REQUEST)
     here.write()
     here.do(here.client.listen(1.0))
     identity = taken(here, REPLIER)[0][:24]
-    here.do(here.client.publish(REPLIER, identity + b"\1"))
-    assert here.session.wrong_sizes == 1
+    here.do(here.client.publish(REPLIER, identity + content))
+    assert here.session.wrong_sizes == here.session.rejected["wrong_size"] == 1
+    (refused,) = of_kind(here, events.ResponseRefused)
+    assert isinstance(refused, events.ResponseRefused)
+    assert (refused.service.name, refused.request) == ("/led", request)
+    assert isinstance(refused.reason, BadPayload)
+    assert "std_srvs/SetBool" in str(refused.reason)
+    here.do(here.client.publish(REPLIER, identity + RESPONSE_CDR))  # a second answer to this request
+    assert of_kind(here, events.ServiceResponded) == []
 
 
 @pytest.mark.parametrize("first", [5, 2**32 - 1, 2**32, 2**40 + 7])
