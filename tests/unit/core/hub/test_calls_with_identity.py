@@ -18,7 +18,7 @@ from hostlink.core.hub.shared import draw_call
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.session import DeviceSession
-from hostlink.errors import BadPayload
+from hostlink.errors import BadPayload, FrameTooLarge
 from tests.support.fake_device import CATALOG, service_type
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.ros_lib_device import running_hub
@@ -277,3 +277,60 @@ def test_answer_of_a_device_that_is_not_of_its_type_fails_its_call_alone_and_at_
             assert hub.links.late_answers == 2
 
     run_virtual(run())
+
+
+class LongerSession(CallingSession):
+    """A session whose encoding is four bytes longer than that of the host."""
+
+    ROOM_BYTES = 64
+
+    def room_bytes(self, endpoint: DeviceEndpoint) -> int:  # noqa: ARG002 - of every endpoint
+        return self.ROOM_BYTES
+
+    def respond(self, response: DeviceEndpoint, payload: bytes | None, *, request: bytes | None = None) -> None:
+        assert payload is not None
+        if len(payload) + 4 > self.ROOM_BYTES:
+            raise FrameTooLarge(response.name, len(payload) + 4, self.ROOM_BYTES)
+        super().respond(response, payload, request=request)
+
+
+class DeafSession(LongerSession):
+    ROOM_BYTES = 6  # less than the shortest response
+
+
+class Talker(Program):
+    async def answer(self, request: Mapping[str, object]) -> Mapping[str, object]:
+        return {**await super().answer(request), "message": "x" * 100}
+
+
+def test_answer_is_cut_to_what_the_encoding_of_the_device_leaves() -> None:
+    async def run() -> list[str]:
+        async with device(Talker(0.1), LongerSession) as (_, end):
+            await end.send(b"ASK 1 1\n")
+            return await answers(end, 1)
+
+    head_bytes = len(RESPONSE.encode({"success": True, "message": ""}))
+    assert run_virtual(run()) == [f"1 True {'x' * (LongerSession.ROOM_BYTES - 4 - head_bytes)}"]
+
+
+def test_device_without_room_for_an_answer_keeps_its_link_if_its_requests_have_an_identity() -> None:
+    async def run() -> int:
+        async with device(Talker(0.1), DeafSession) as (hub, end):
+            await end.send(b"ASK 1 1\n")
+            await asyncio.sleep(2 * DEVICE_TIMEOUT_S)
+            return len(hub.links.all())
+
+    assert run_virtual(run()) == 1
+
+
+def test_call_of_a_service_of_another_type_is_refused_and_not_executed() -> None:
+    program = Program(0.1)
+
+    async def run() -> list[str]:
+        async with device(program, services="ask other") as (hub, end):
+            hub.services.provide(Provider("/other", "std_srvs/Trigger", "other", program.answer))
+            await end.send(b"ASK 1 1 /other\n")
+            return await answers(end, 1)
+
+    assert run_virtual(run()) == ["1 False /other: wanted std_srvs/Trigger, got std_srvs/SetBool"]
+    assert program.executed == []
