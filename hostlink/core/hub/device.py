@@ -615,9 +615,10 @@ class Device:
         sums = {info.kind: info.md5 for info in self.infos if info.name == service}
         return sums.get(EndpointKind.SERVICE_SERVER_SUBSCRIBER, ""), sums.get(EndpointKind.SERVICE_SERVER_PUBLISHER, "")
 
-    def _call(self, name: str, payload: bytes) -> None:
-        self.link.session.call(name, payload)
+    def _call(self, name: str, payload: bytes) -> bytes | None:
+        request = self.link.session.call(name, payload)
         self.link.wake()
+        return request
 
 
 class EarlyMessages:

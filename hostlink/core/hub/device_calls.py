@@ -13,7 +13,7 @@ from typing import Any
 
 import structlog
 
-from hostlink.core.hub.services import DEVICE_TIMEOUT_S
+from hostlink.core.hub.services import DEVICE_TIMEOUT_S, Provider
 from hostlink.core.hub.shared import Shared
 from hostlink.core.link.link import Link
 from hostlink.core.messages.fitting import encode_within
@@ -51,15 +51,28 @@ class _DeviceCall:
     """A request of a device, until it is answered."""
 
     def __init__(self, link: Link, event: ServiceRequested, now_s: float) -> None:
-        self.link, self.endpoint, self.payload = link, event.service, event.payload
+        self.link, self.endpoint, self.payload, self.request = link, event.service, event.payload, event.request
         self.negotiations = link.session.counts.negotiations  # before the call
         self.deadline_s = now_s + DEVICE_TIMEOUT_S
-        self.is_over = False  # the device no longer waits for the answer
+        self._is_dropped = False
         self.ends: set[asyncio.Timeout] = set()  # of what is done for it now
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the device no longer waits for the answer."""
+        is_known = self.request is None or self.link.session.is_waiting_for(self.endpoint, self.request)
+        return self._is_dropped or not is_known
+
+    def is_given_up_for(self, newer: "_DeviceCall") -> bool:
+        """Whether a newer call shows that the device no longer waits for the answer to this one.
+
+        ros_lib gives a call up when its topics are requested, and takes any answer for that to its newest call.
+        """
+        return self.is_over or (self.request is None and self.negotiations < newer.negotiations)
 
     def drop(self) -> None:
         """End the call: the device no longer waits for the answer."""
-        self.is_over = True
+        self._is_dropped = True
         for end in self.ends:
             expire(end)
 
@@ -90,10 +103,12 @@ class DeviceCalls:
             self._spawn(self._work(of_link, event.service.id), name=f"service calls of link {link.number}")
             return
         for older in waiting or ():
-            if older.negotiations < call.negotiations:  # ros_lib gives a call up when its topics are requested
+            if older.is_given_up_for(call):
                 older.drop()
-        if waiting is None or len(waiting) > MAX_WAITING or _count(of_link) >= MAX_CALLS:
-            self._refuse(call, is_only=waiting is None)
+        if waiting is None or _count(of_link) >= MAX_CALLS:
+            self._refuse(call, _count(of_link), is_only=waiting is None)
+        elif len(waiting) > MAX_WAITING:
+            self._refuse(call, len(waiting), is_only=False)
         else:
             waiting.append(call)
 
@@ -103,11 +118,11 @@ class DeviceCalls:
             for call in waiting:
                 call.drop()
 
-    def _refuse(self, call: _DeviceCall, *, is_only: bool) -> None:
+    def _refuse(self, call: _DeviceCall, waiting: int, *, is_only: bool) -> None:
         """Answer with DeviceBusy. Without room for the answer, end the link unless earlier answers are queued."""
         self.refused += 1
         try:
-            self._respond(call, DeviceBusy(call.endpoint.name, MAX_CALLS))
+            self._respond(call, DeviceBusy(call.endpoint.name, waiting))
         except HostlinkError as error:
             if is_only:
                 self._spawn(self._end(call, error), name=f"end of link {call.link.number}")
@@ -145,6 +160,10 @@ class DeviceCalls:
                 return await self._pass_on(call)
             request = type_.request.decode(call.payload)
             name = self._name_of(call.link, call.endpoint.name)
+            offered = self._services.find_or_none(name)
+            is_stop = isinstance(offered, Provider) and offered.ignores_request  # refused for no type
+            if offered is not None and offered.type_name != call.endpoint.type and not is_stop:
+                raise WrongType(name, offered.type_name, call.endpoint.type)
             return await self._services.call(name, request, timeout_s=DEVICE_TIMEOUT_S)
         except HostlinkError as error:
             return error
@@ -176,8 +195,14 @@ class DeviceCalls:
         session = call.link.session
         response = session.response_endpoint(call.endpoint)
         known = None if session.is_refused(response) else self._catalog.service(response.type)
-        payload, problem = encode_response(None if known is None else known.response, outcome, response, session)
-        session.respond(response, payload)
+        type_, room_bytes = None if known is None else known.response, session.room_bytes(response)
+        payload, problem = encode_response(type_, outcome, response, session, room_bytes)
+        try:
+            self._queue(call, response, payload)
+        except FrameTooLarge as error:  # encoded for the device, it is longer
+            room_bytes -= error.frame_bytes - error.limit_bytes
+            payload, problem = encode_response(type_, outcome, response, session, room_bytes)
+            self._queue(call, response, payload)
         if problem is not None:
             is_cut = isinstance(problem, FrameTooLarge)
             event = "service.cut" if is_cut else "service.failed"
@@ -185,49 +210,64 @@ class DeviceCalls:
             session.too_large = str(problem) if is_cut else session.too_large  # the diagnosis knows what to do
         call.link.wake()
 
+    def _queue(self, call: _DeviceCall, response: DeviceEndpoint, payload: bytes | None) -> None:
+        if call.request is None:
+            call.link.session.respond(response, payload)
+        else:
+            call.link.session.respond(response, payload, request=call.request)
+
     async def _end(self, call: _DeviceCall, error: Exception) -> None:
-        """End the link of a device that would wait without end. A device with other topics has restarted already."""
+        """End the link of a device that would wait without end. A device with other topics has restarted already.
+
+        A device whose requests have an identity does not wait: it is not answered, and its robot may be driven on.
+        """
         if not call.is_over and call.link.session.has(call.endpoint):
             reason = printable(str(error), MAX_REASON) or "no room for the answer"
+            if call.request is not None:
+                log.warning("service.failed", service=printable(call.endpoint.name), reason=reason)
+                return
             log.error("service.unanswerable", service=printable(call.endpoint.name), reason=reason)
             await self._give_up(call.link)
 
 
 def encode_response(
-    type_: MessageType | None, outcome: _Outcome, response: DeviceEndpoint, session: DeviceSession
+    type_: MessageType | None,
+    outcome: _Outcome,
+    response: DeviceEndpoint,
+    session: DeviceSession,
+    limit_bytes: int,
 ) -> tuple[bytes | None, HostlinkError | None]:
-    """Encode as much of an answer as fits the device's buffer; also return the problem of an answer that does not fit.
+    """Encode as much of an answer as fits `limit_bytes`; also return the problem of an answer that does not fit.
 
     A payload of None means zeros: the layout is unknown here.
 
     Raises:
         FrameTooLarge: the device's buffer is smaller than the shortest response.
     """
-    limit_bytes = session.room_bytes(response)
     if isinstance(outcome, bytes):
         is_right = len(outcome) <= limit_bytes
         return (outcome, None) if is_right else (None, session.too_long(response, len(outcome)))
     if type_ is None:
         return None, None
     if isinstance(outcome, HostlinkError):
-        return _encode_failure(type_, outcome, response, session), None
+        return _encode_failure(type_, outcome, response, session, limit_bytes), None
     try:
         whole_bytes = len(type_.encode(outcome))
         payload = encode_within(type_, outcome, limit_bytes)
     except BadRequest as error:
-        return _encode_failure(type_, error, response, session), error
+        return _encode_failure(type_, error, response, session, limit_bytes), error
     problem = None if whole_bytes <= limit_bytes else session.too_long(response, whole_bytes)
     if payload is None and problem is not None:
-        payload = _encode_failure(type_, problem, response, session)
+        payload = _encode_failure(type_, problem, response, session, limit_bytes)
     return payload, problem
 
 
 def _encode_failure(
-    type_: MessageType, reason: HostlinkError, response: DeviceEndpoint, session: DeviceSession
+    type_: MessageType, reason: HostlinkError, response: DeviceEndpoint, session: DeviceSession, limit_bytes: int
 ) -> bytes:
     """Encode default values, and as much of the reason as there is room for."""
     has_message = any(field.name == "message" and field.type_text == "string" for field in type_.fields)
-    payload = encode_within(type_, {"message": str(reason)} if has_message else {}, session.room_bytes(response))
+    payload = encode_within(type_, {"message": str(reason)} if has_message else {}, limit_bytes)
     if payload is None:
         raise session.too_long(response, type_.layout.minimum_bytes)
     return payload

@@ -20,7 +20,7 @@ from hostlink.core.hub.reloader import Read, Reloader
 from hostlink.core.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.core.hub.robots import Robots
 from hostlink.core.hub.rosout import Rosout
-from hostlink.core.hub.shared import DAEMON, Shared, draw_epoch
+from hostlink.core.hub.shared import DAEMON, Shared, draw_call, draw_epoch
 from hostlink.core.hub.standstills import LockServices, Standstills
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.robot.names import Places
@@ -60,6 +60,7 @@ class Hub(Shared):
         computed_s: Callable[[], float] = loop_time_s,
         wall_ns: Callable[[], int] | None = None,
         first_epoch: Callable[[], int] = draw_epoch,
+        first_call: Callable[[], int] = draw_call,
         namespace: str = "/",
     ) -> None:
         """Connect nothing yet.
@@ -68,7 +69,8 @@ class Hub(Shared):
         `read` reads the settings again, as a new start would; None if the daemon has no file.
         `slept_s` returns for how long the computer has slept so far, which the event loop's clock leaves out.
         `computed_s` returns the CPU time of the event loop's thread, without the time for which it waited for a core.
-        `wall_ns` returns the time of day; None: that of the computer. `first_epoch` draws that of a robot.
+        `wall_ns` returns the time of day; None: that of the computer. `first_epoch` draws that of a robot, `first_call`
+        the number of a connection's first call of a service.
         `namespace` distinguishes this daemon in /diagnostics.
         """
         super().__init__(
@@ -88,7 +90,7 @@ class Hub(Shared):
         self.standstills = Standstills()
         self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
         self.rosout = Rosout(self.join_daemon(), self.wall_ns)
-        self.links = Links(self, self.robots, self.robot_topics, self.rosout.log)
+        self.links = Links(self, self.robots, self.robot_topics, self.rosout.log, first_call)
         self.robots.on_change, self.robots.on_forgotten = self._note_robot, self.links.forget_robot
         self.reloader = Reloader(self, read)
 

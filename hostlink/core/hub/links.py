@@ -67,8 +67,12 @@ class Links:
         robots: Robots,
         robot_topics: RobotTopicPublisher,
         log_line: Callable[[str, events.DeviceLogged], None],
+        first_call: Callable[[], int],
     ) -> None:
-        """`log_line` shows a line of a device's log in the graph, by the name of its source."""
+        """`log_line` shows a line of a device's log in the graph, by the name of its source.
+
+        `first_call` draws the number of a connection's first call of a service.
+        """
         self.parameter_source: ParameterSource | None = None  # for parameters that are not set here
         self.wall_ns = shared.wall_ns  # time in answers to devices
         self.undelivered = 0  # dropped messages of devices that were not identified yet
@@ -76,7 +80,7 @@ class Links:
         self.on_named: Callable[[], None] = lambda: None  # called when a robot has its name
         self.memories = Memories()
         self._shared, self._robots, self._devices = shared, robots, robots.devices
-        self._robot_topics, self._log_in_graph = robot_topics, log_line
+        self._robot_topics, self._log_in_graph, self._first_call = robot_topics, log_line, first_call
         self._directory = Directory(addresses_of(shared.config), commands_by_name(shared.config))
         self._ends = shared.turns()
         self.calls = DeviceCalls(shared, give_up=self._give_up, name_of=self._service_name)
@@ -91,6 +95,7 @@ class Links:
             events.TopicsAnswered: _note_answer,
             events.ServiceRequested: lambda device, event: self.calls.accept(device.link, event),
             events.ServiceResponded: self._pass_answer,
+            events.ResponseRefused: self._fail_call,
             events.ParameterRequested: self._answer_parameter,
             events.DeviceLogged: self._log_line,
             events.VersionRefused: _log_version,
@@ -112,6 +117,7 @@ class Links:
             max_topics=config.max_topics,
             is_lossy=transport.kind == "udp",
         )
+        session.number_calls(self._first_call())
         link = Link(
             transport,
             session,
@@ -245,10 +251,18 @@ class Links:
 
     def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
         service = device.services.get(event.service.name)
-        is_answered = service is not None and service.answered(event.payload)
-        if not is_answered and event.service.name != device.stop_service:  # no call waits for those of zeros
+        if service is None or not service.answered(event.payload, event.request):
+            self._note_late(device, event.service.name)
+
+    def _fail_call(self, device: Device, event: events.ResponseRefused) -> None:
+        service = device.services.get(event.service.name)
+        if service is None or not service.refused(event.reason, event.request):
+            self._note_late(device, event.service.name)
+
+    def _note_late(self, device: Device, service: str) -> None:
+        if service != device.stop_service:  # no call waits for the answers to zeros
             self.late_answers += 1
-            log.warning("service.late", service=printable(event.service.name))
+            log.warning("service.late", service=printable(service))
 
     # -- which robot a device is --------------------------------------------------------------------------------------
 

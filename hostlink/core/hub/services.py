@@ -1,7 +1,7 @@
 """Services of devices, of programs and of the daemon.
 
-A device numbers no requests, so a device's service has one call in flight. An answer after the deadline must not be
-taken for the answer to the next call.
+A device's service has one call in flight, because devices of rosserial number no requests. An answer of theirs after
+the deadline must not be taken for that to the next call; where requests have an identity, nothing is waited for.
 """
 
 import asyncio
@@ -37,7 +37,7 @@ DEVICE_TIMEOUT_S = 5.0
 PROGRAM_TIMEOUT_S = 60.0  # a program may do something slow, and rosbridge would wait without end
 LONGEST_TURN_S = 60.0  # of one call at a device, also for a caller that waits longer: a request may be lost
 MAX_WAITING = 256  # calls of one service of a device, each with its own deadline
-Send = Callable[[bytes], None]
+Send = Callable[[bytes], bytes | None]  # returns the identity of the request, as `DeviceSession.call`
 Answer = Callable[[Mapping[str, object]], Awaitable[Mapping[str, object]]]
 Notify = Callable[[str], None]
 _Service = TypeVar("_Service", "DeviceService", "Provider")
@@ -55,6 +55,7 @@ class DeviceService:
         self._calls = 0
         self._turn = asyncio.Lock()  # queue of the calls: the protocol allows one at a time
         self._answer: asyncio.Future[bytes] | None = None
+        self._request: bytes | None = None  # identity of the call in flight
         self._late: asyncio.Future[None] | None = None  # late answer to a call that was given up
 
     async def call(self, payload: bytes, *, timeout_s: float) -> bytes:
@@ -65,6 +66,7 @@ class DeviceService:
             DeviceGone: the device disconnected.
             ServiceFailed: no answer within timeout_s seconds.
             FrameTooLarge: the device's buffer is smaller than the request.
+            BadPayload: the answer is not of its type.
         """
         if self._calls > MAX_WAITING:
             raise DeviceBusy(self.name, self._calls)
@@ -77,19 +79,35 @@ class DeviceService:
         finally:
             self._calls -= 1
 
-    def answered(self, payload: bytes) -> bool:
-        """Pass on an answer of the device. Return False if no call waits for it."""
+    def answered(self, payload: bytes, request: bytes | None = None) -> bool:
+        """Pass on an answer of the device, to the request of this identity. Return False if no call waits for it."""
+        answer = self._awaiting(request)
+        if answer is not None:
+            answer.set_result(payload)
+        return answer is not None
+
+    def refused(self, reason: HostlinkError, request: bytes | None = None) -> bool:
+        """Fail the call with this identity, whose answer is not of its type. Return False if no call waits for it."""
+        answer = self._awaiting(request)
+        if answer is not None:
+            answer.set_exception(reason)
+        return answer is not None
+
+    def _awaiting(self, request: bytes | None) -> asyncio.Future[bytes] | None:
+        """Return what waits for the answer to a request. None: nothing does; a late answer has come then."""
+        if request != self._request:
+            return None
         if self._answer is not None and not self._answer.done():
-            self._answer.set_result(payload)
-            return True
+            return self._answer
         if self._late is not None and not self._late.done():
             self._late.set_result(None)
-        return False
+        return None
 
     @property
     def is_awaited(self) -> bool:
-        """Whether the device may still answer an earlier call."""
-        return any(each is not None and not each.done() for each in (self._answer, self._late))
+        """Whether the device may still answer an earlier call, without an identity."""
+        answer = self._answer if self._request is None else None
+        return any(each is not None and not each.done() for each in (answer, self._late))
 
     def expect_late(self) -> None:
         """Expect a late answer to a call from before the device announced its topics again."""
@@ -114,13 +132,14 @@ class DeviceService:
     async def _exchange(self, payload: bytes) -> bytes:
         self._answer = asyncio.get_running_loop().create_future()
         try:
-            self._send(payload)
+            self._request = self._send(payload)
             return await self._answer
         except asyncio.CancelledError:  # given up by its deadline or its caller; the device may still answer
-            self._late = asyncio.get_running_loop().create_future()
+            if self._request is None:
+                self._late = asyncio.get_running_loop().create_future()
             raise
         finally:
-            self._answer = None
+            self._answer = self._request = None
 
     async def _settle(self, grace_s: float) -> None:
         """Wait for the late answer to a call that was given up. After `grace_s` it counts as lost."""
@@ -128,7 +147,7 @@ class DeviceService:
             await asyncio.wait([self._late], timeout=grace_s)
             self._late = None
 
-    def _fail(self, payload: bytes) -> None:  # noqa: ARG002 - signature of Send
+    def _fail(self, payload: bytes) -> bytes | None:  # noqa: ARG002 - signature of Send
         raise DeviceGone(self.name)
 
 

@@ -27,6 +27,7 @@ from hostlink.core.runtime.loop_time import loop_time_s
 
 Offered = TypeVar("Offered")
 DAEMON = "hostlink"  # name of the daemon's own participants in the graph
+CALL_BITS = 32  # two daemons, one after the other, hardly draw the same number
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,11 @@ class Counts:
 def draw_epoch() -> int:
     """Draw the first epoch of a robot."""
     return secrets.randbits(EPOCH_BITS)
+
+
+def draw_call() -> int:
+    """Draw the number of a connection's first call."""
+    return secrets.randbits(CALL_BITS)
 
 
 class Shared:

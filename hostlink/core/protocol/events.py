@@ -58,17 +58,35 @@ class MessageReceived(NamedTuple):
 
 
 class ServiceRequested(NamedTuple):
-    """The device calls a service of the host."""
+    """The device calls a service of the host.
+
+    `request` is the identity of the request, as the protocol chooses it: the hub returns it with the response. None: a
+    response has no identity, and the device takes the next one for that to its oldest request.
+    """
 
     service: DeviceEndpoint
     payload: bytes
+    request: bytes | None = None
 
 
 class ServiceResponded(NamedTuple):
-    """A service of the device answered."""
+    """A service of the device answered.
+
+    `request` is the identity that `DeviceSession.call` returned for the request. None: answers have no identity, and
+    this one is that to the oldest request.
+    """
 
     service: DeviceEndpoint
     payload: bytes
+    request: bytes | None = None
+
+
+class ResponseRefused(NamedTuple):
+    """A service of the device answered, but not with a message of its type. `request` as in ServiceResponded."""
+
+    service: DeviceEndpoint
+    reason: HostlinkError
+    request: bytes | None = None
 
 
 class TimeRequested(NamedTuple):
@@ -112,6 +130,7 @@ Event = (
     | MessageReceived
     | ServiceRequested
     | ServiceResponded
+    | ResponseRefused
     | TimeRequested
     | ParameterRequested
     | DeviceLogged

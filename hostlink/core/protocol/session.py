@@ -235,8 +235,10 @@ class DeviceSession(ABC):
         """
 
     @abstractmethod
-    def call(self, service: str, payload: bytes) -> None:
-        """Queue a request to a service of the device.
+    def call(self, service: str, payload: bytes) -> bytes | None:
+        """Queue a request to a service of the device. Return its identity, which `ServiceResponded` has.
+
+        None: the device's answers have no identity. Then an answer that is late must not be taken for the next one.
 
         Raises:
             UnknownTopic: the device has no such service.
@@ -244,6 +246,9 @@ class DeviceSession(ABC):
             FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
             DeviceBusy: too many requests and responses wait.
         """
+
+    def number_calls(self, first: int) -> None:  # noqa: B027 - for protocols whose calls have numbers
+        """Give the next call this number, of any size: an answer to an earlier daemon's call must not be that to it."""
 
     @abstractmethod
     def response_endpoint(self, request: DeviceEndpoint) -> DeviceEndpoint:
@@ -254,13 +259,19 @@ class DeviceSession(ABC):
         """
 
     @abstractmethod
-    def respond(self, response: DeviceEndpoint, payload: bytes | None) -> None:
+    def respond(self, response: DeviceEndpoint, payload: bytes | None, *, request: bytes | None = None) -> None:
         """Queue a response to a request of the device; None: its layout is unknown.
+
+        `request` is the identity from `ServiceRequested`. It is not passed to a session whose requests have none.
 
         Raises:
             FrameTooLarge: the device's buffer is smaller.
             DeviceBusy: too many requests and responses wait.
         """
+
+    def is_waiting_for(self, service: DeviceEndpoint, request: bytes) -> bool:  # noqa: ARG002 - for those with identity
+        """Whether the device still waits for the response to a request with this identity, at a service of the host."""
+        return True
 
     @abstractmethod
     def room_bytes(self, endpoint: DeviceEndpoint) -> int:

@@ -90,6 +90,7 @@ class World:
     def __init__(self, loop: WorldLoop, seed: int, seconds: float) -> None:
         self.loop, self.journal, self.seconds = loop, Journal(), seconds
         self._seed, self._dice = seed, random.Random(f"{seed} world")
+        self._calls = random.Random(f"{seed} calls")
         self.connections: dict[int, Connection] = {}
         self.guardian: Guardian | None = None
         self.hub: Hub | None = None
@@ -288,6 +289,7 @@ class World:
             guard=self.guardian,
             wall_ns=lambda: WALL_NS + round(self.loop.time() * 1e9),
             first_epoch=lambda: self._dice.getrandbits(40),
+            first_call=lambda: self._calls.getrandbits(32),
         )
         async with meanwhile(("hub", hub.run())):
             await hub.is_running.wait()

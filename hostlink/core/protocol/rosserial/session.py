@@ -350,7 +350,7 @@ class Session(DeviceSession):
         return self._to_service(service, payload)[0]
 
     def call(self, service: str, payload: bytes) -> None:
-        """Queue a request to a service of the device.
+        """Queue a request to a service of the device. It has no identity.
 
         Raises:
             UnknownTopic: the device has no such service.
@@ -380,7 +380,13 @@ class Session(DeviceSession):
         """Whether this endpoint was refused because of its type."""
         return info.key in self._refused
 
-    def respond(self, response: DeviceEndpoint, payload: bytes | None) -> None:
+    def respond(
+        self,
+        response: DeviceEndpoint,
+        payload: bytes | None,
+        *,
+        request: bytes | None = None,  # noqa: ARG002 - a request has no identity
+    ) -> None:
         """Queue a response to a request of the device.
 
         `payload` is None when the layout is unknown. Then zeros are sent: they decode as empty strings, empty lists and

@@ -149,7 +149,7 @@ class XrceClient:
         self.objects = ObjectTable(max_endpoints)
         self.readings: dict[int, Reading] = {}
         self.reads: dict[int, bytes] = {}  # payload of each READ_DATA that counts
-        self.calls: dict[int, deque[bytes]] = {}  # requests of the client that wait for a response, by requester
+        self.calls: dict[int, set[bytes]] = {}  # identities of requests that wait for a response, by requester
         self.samples: dict[int, deque[bytes]] = {}  # messages that wait, by the id of their reader
         self.waiting: deque[bytes] = deque()  # bodies for the reliable stream, in order
         self.zeros: dict[int, Zero] = {}  # by the id of their endpoint, as the next
@@ -221,12 +221,17 @@ class XrceClient:
         """Delete an object, those below it, and what belongs to them. Return the Status."""
         status = self.objects.delete(object_id)
         self.periods = {id_: each for id_, each in self.periods.items() if id_ in self.objects.by_id}
-        for id_ in [*self.readings.keys() - self.objects.by_id.keys()]:
-            del self.readings[id_]
+        for id_ in [*(self.readings.keys() | self.calls.keys()) - self.objects.by_id.keys()]:
+            self.readings.pop(id_, None)
             self.reads.pop(id_, None)
             self.calls.pop(id_, None)
             self.samples.pop(id_, None)
         return status
+
+    def drop_calls(self) -> None:
+        """Forget the requests of the session before, and what waits for a reader: the board has begun anew."""
+        self.calls.clear()
+        self.samples.clear()
 
     def drop_samples(self, object_id: int) -> int:
         """Drop what waits for a reader, and blank what was sent and may be sent again. Return how many were dropped."""

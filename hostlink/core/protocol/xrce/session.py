@@ -87,6 +87,7 @@ ZERO_NUMBERS: Final = (0, 0x5555, 0xAAAA)
 STOP_INTERVAL_S: Final = 0.12  # a client asks for an acknowledgement after 100 ms without a message
 ACKNOWLEDGER: Final = "hostlink.core.protocol.xrce.acknowledging"
 ZEROS_BYTES: Final = 64  # of a response whose layout is unknown
+CALL_NUMBERS: Final = 2**32 - 1  # of calls, from 1 on
 CALLS_MAX: Final = 16  # of one service client or service of the device, waiting
 FRAGMENT_BYTE: Final = bytes((Kind.FRAGMENT,))
 ACK_S: Final = 0.005  # a client sends the next fragment sooner than this
@@ -176,8 +177,9 @@ class XrceSession(DeviceSession):
         self._announce_s = math.inf  # when the endpoints are complete
         self._is_restarted = False  # since the last announcement
         self._acks: dict[tuple[int, bytes, int], None] = {}  # streams to acknowledge
-        self._calls: dict[int, deque[int]] = {}  # numbers of calls to a service of the device
-        self._call_number = 0
+        self._calls: dict[int, deque[int]] = {}  # numbers of the last calls to a service of the device
+        self._call_number = 1  # of the next call; 0 is that of `zero_frames`
+        self._requests = 0  # of the device, since the link opened
         self._undecodable = 0
         if state is not None:
             self._resume(state)
@@ -536,8 +538,8 @@ class XrceSession(DeviceSession):
         """
         return self._to_service(service, payload)[0]
 
-    def call(self, service: str, payload: bytes) -> None:
-        """Queue a request to a service of the device.
+    def call(self, service: str, payload: bytes) -> bytes:
+        """Queue a request to a service of the device, and return its identity.
 
         Raises:
             UnknownTopic: the device has no such service.
@@ -547,12 +549,15 @@ class XrceSession(DeviceSession):
         """
         endpoint, client, content = self._to_service(service, payload)
         self._check_prompt(endpoint, len(content))
-        waiting = self._calls.setdefault(endpoint.id, deque())
-        if len(waiting) >= CALLS_MAX:
-            raise DeviceBusy(service, len(waiting))
-        self._call_number += 1
-        self._put_sample(client, endpoint, _identity(self._call_number) + content)
-        waiting.append(self._call_number)
+        number, identity = self._call_number, _identity(self._call_number)
+        self._put_sample(client, endpoint, identity + content)
+        self._calls.setdefault(endpoint.id, deque(maxlen=CALLS_MAX)).append(number)
+        self.number_calls(number + 1)
+        return identity
+
+    def number_calls(self, first: int) -> None:
+        """Give the next call this number: an answer to an earlier daemon's call must not be that to it."""
+        self._call_number = (first - 1) % CALL_NUMBERS + 1
 
     def response_endpoint(self, request: DeviceEndpoint) -> DeviceEndpoint:
         """Return the endpoint at which the device receives the response to a request of this endpoint.
@@ -565,24 +570,29 @@ class XrceSession(DeviceSession):
             raise UnknownTopic("endpoint for responses", request.name)
         return response
 
-    def respond(self, response: DeviceEndpoint, payload: bytes | None) -> None:
-        """Queue a response to the oldest request of this endpoint.
+    def respond(self, response: DeviceEndpoint, payload: bytes | None, *, request: bytes | None = None) -> None:
+        """Queue a response to the request with this identity.
 
         `payload` is None when the layout is unknown. Then zeros are sent, as for rosserial.
 
         Raises:
             FrameTooLarge: the device has less room.
             DeviceBusy: too many requests and responses wait.
-            UnknownTopic: the device waits for no response.
+            UnknownTopic: the device does not wait for this response.
         """
         client = self._client_of(response)
         waiting = None if client is None else client.calls.get(object_id(response))
-        if client is None or not waiting:
+        if client is None or waiting is None or request is None or request not in waiting:
             raise UnknownTopic("request", response.name)
         content = bytes(ZEROS_BYTES) if payload is None else self._translated(response, payload)
         self._check_room(client, response, content)
-        self._put_sample(client, response, waiting[0] + content)
-        waiting.popleft()
+        self._put_sample(client, response, request[-REQUEST_BYTES:] + content)
+        waiting.remove(request)
+
+    def is_waiting_for(self, service: DeviceEndpoint, request: bytes) -> bool:
+        """Whether the device still waits for the response to this request: it has not begun anew meanwhile."""
+        client = self._client_of(service)
+        return client is not None and request in client.calls.get(object_id(service), ())
 
     def room_bytes(self, endpoint: DeviceEndpoint) -> int:
         """Longest payload that the device takes at an endpoint: in one message, or in as many as its history holds."""
@@ -911,6 +921,7 @@ class XrceSession(DeviceSession):
         reliable = client.inputs.get(message.stream)
         if message.number == 0 or (reliable is not None and abs(distance(reliable.next, message.number)) > WINDOW):
             client.reset_streams(now_s)
+            client.drop_calls()
             client.is_announced = False
             self.quality.restarts += 1
             self.outbox.drop_messages()
@@ -986,12 +997,15 @@ class XrceSession(DeviceSession):
             return
         content = payload[REQUEST_BYTES:]
         translated = content if endpoint.key in self._refused else self._payload(endpoint, content)
-        waiting = client.calls.setdefault(object_id(endpoint), deque())
-        if translated is None or len(waiting) >= CALLS_MAX:
+        id_ = object_id(endpoint)
+        waiting = client.calls.setdefault(id_, set())
+        if translated is None or len(waiting) + len(client.samples.get(id_, ())) >= CALLS_MAX:
             self.counts.refused_frames += 1
             return
-        waiting.append(payload[:REQUEST_BYTES])
-        found.append(events.ServiceRequested(endpoint, translated))
+        self._requests += 1
+        request = self._requests.to_bytes(8, "little") + payload[:REQUEST_BYTES]  # a board that restarts repeats these
+        waiting.add(request)
+        found.append(events.ServiceRequested(endpoint, translated, request))
 
     def _take_response(self, endpoint: DeviceEndpoint, content: bytes, found: list[events.Event]) -> None:
         """Take the response to a call. Those before it are no longer answered."""
@@ -1002,9 +1016,14 @@ class XrceSession(DeviceSession):
             return
         while waiting.popleft() != number:
             self.counts.refused_frames += 1
-        payload = self._payload(endpoint, content[SAMPLE_IDENTITY_BYTES:])
-        if payload is not None:
-            found.append(events.ServiceResponded(endpoint, payload))
+        identity, content = _identity(number), content[SAMPLE_IDENTITY_BYTES:]
+        try:
+            payload = self._payloads.from_device(endpoint, content)
+        except BadPayload as error:
+            self._undecodable += 1
+            found.append(events.ResponseRefused(endpoint, error.with_traceback(None), identity))
+        else:
+            found.append(events.ServiceResponded(endpoint, payload, identity))
 
     def _take_acknack(self, client: XrceClient, told: Range, found: list[events.Event]) -> None:
         now_s = self._now_s

@@ -9,7 +9,7 @@ import pytest
 from hostlink.core.hub.node import Node
 from hostlink.core.hub.services import MAX_WAITING, DeviceService, Provider, Services
 from hostlink.core.protocol.endpoint import EndpointKind
-from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceFailed, UnknownTopic, WrongType
+from hostlink.errors import BadPayload, BadRequest, DeviceBusy, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from tests.support.fake_device import CATALOG, service_server, topic
 from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.virtual_loop import run_virtual
@@ -68,6 +68,45 @@ def test_call_without_answer_fails_at_its_deadline_and_its_late_answer_is_not_th
             await asyncio.sleep(0.1)
             assert service.answered(b"two")
         assert second.result() == b"two"
+
+    run_virtual(test())
+
+
+def test_call_with_an_identity_waits_for_no_late_answer_and_takes_none() -> None:
+    async def test() -> None:
+        numbers = iter((b"1", b"2"))
+        service = DeviceService("/s", TRIGGER, CATALOG.service(TRIGGER), "link 1", lambda _: next(numbers))
+        loop = asyncio.get_running_loop()
+        with pytest.raises(ServiceFailed, match="2"):
+            await service.call(b"", timeout_s=2.0)
+        assert not service.is_awaited
+        began_s = loop.time()
+        async with asyncio.TaskGroup() as tasks:
+            second = tasks.create_task(service.call(b"", timeout_s=4.0))
+            await asyncio.sleep(0.1)
+            assert not service.is_awaited
+            assert not service.answered(b"late", b"1")
+            assert service.answered(b"two", b"2")
+        assert second.result() == b"two"
+        assert loop.time() - began_s < 0.2
+        assert not service.answered(b"two", b"2")
+
+    run_virtual(test())
+
+
+@pytest.mark.parametrize("identity", [b"1", None])
+def test_call_whose_answer_is_refused_fails_at_once_with_the_reason(identity: bytes | None) -> None:
+    async def test() -> None:
+        service = DeviceService("/s", TRIGGER, CATALOG.service(TRIGGER), "link 1", lambda _: identity)
+        loop = asyncio.get_running_loop()
+        reason = BadPayload("std_srvs/TriggerResponse", "3 bytes follow")
+        assert not service.refused(reason, identity)
+        loop.call_later(0.1, lambda: service.refused(reason, b"0"))
+        loop.call_later(0.2, service.refused, reason, identity)
+        with pytest.raises(BadPayload, match="3 bytes follow"):
+            await service.call(b"", timeout_s=2.0)
+        assert loop.time() == pytest.approx(0.2)
+        assert not service.refused(reason, identity)
 
     run_virtual(test())
 

@@ -28,7 +28,7 @@ from hostlink.core.protocol.xrce.session import (
     endpoint_id,
     object_id,
 )
-from hostlink.errors import DeviceBusy, FrameTooLarge, UnknownTopic, WrongType
+from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, UnknownTopic, WrongType
 from tests.support import xrce_board as board
 from tests.support.xrce_board import TWIST, XML, Client, Link, Program, World, sub
 
@@ -796,22 +796,59 @@ def test_response_that_arrives_twice_or_without_a_call_is_dropped() -> None:
     assert here.session.counts.refused_frames == 3
 
 
-def test_undecodable_response_is_counted() -> None:
+@pytest.mark.parametrize("content", [b"", b"\1", RESPONSE_CDR + b"zzzzzzzz", b"\1\0\0\0\xff\xff\xff\xffabc"])
+def test_undecodable_response_is_counted_and_reported_with_the_reason(content: bytes) -> None:
     here = connected()
-    here.session.call("/led", REQUEST)
+    request = here.session.call("/led", REQUEST)
     here.write()
     here.do(here.client.listen(1.0))
     identity = taken(here, REPLIER)[0][:24]
-    here.do(here.client.publish(REPLIER, identity + b"\1"))
-    assert here.session.wrong_sizes == 1
+    here.do(here.client.publish(REPLIER, identity + content))
+    assert here.session.wrong_sizes == here.session.rejected["wrong_size"] == 1
+    (refused,) = of_kind(here, events.ResponseRefused)
+    assert isinstance(refused, events.ResponseRefused)
+    assert (refused.service.name, refused.request) == ("/led", request)
+    assert isinstance(refused.reason, BadPayload)
+    assert "std_srvs/SetBool" in str(refused.reason)
+    here.do(here.client.publish(REPLIER, identity + RESPONSE_CDR))  # a second answer to this request
+    assert of_kind(here, events.ServiceResponded) == []
+
+
+@pytest.mark.parametrize("first", [5, 2**32 - 1, 2**32, 2**40 + 7])
+def test_calls_are_numbered_from_the_given_number_and_none_has_that_of_a_zero(first: int) -> None:
+    here = connected()
+    here.session.number_calls(first)
+    for _ in range(3):
+        here.session.call("/led", REQUEST)
+        here.write()
+        here.run(here.now_s + 0.5)
+        answered(here.client)
+        here.do(here.client.confirm(1.0))
+    numbers = [int.from_bytes(payload[20:24], "little") for payload in taken(here, REPLIER)]
+    assert len(set(numbers)) == len(of_kind(here, events.ServiceResponded)) == 3
+    assert 0 not in numbers
+    assert numbers[0] == first or first >= 2**32
 
 
 def test_calls_that_wait_are_bounded() -> None:
     here = connected()
+    here.session._clients[0x81, b""].output.window = 0  # the board reads nothing
     for _ in range(CALLS_MAX):
         here.session.call("/led", REQUEST)
     with pytest.raises(DeviceBusy):
         here.session.call("/led", REQUEST)
+
+
+def test_service_that_has_answered_no_call_so_far_is_called_again() -> None:
+    here = connected()
+    for _ in range(3 * CALLS_MAX):
+        identity = here.session.call("/led", REQUEST)
+        here.write()
+        here.do(here.client.listen(0.2))
+    answered(here.client)
+    here.do(here.client.confirm(1.0))
+    (responded,) = of_kind(here, events.ServiceResponded)
+    assert responded.request == identity  # type: ignore[attr-defined]
 
 
 def test_board_calls_a_service_and_gets_the_response_to_its_request() -> None:
@@ -822,20 +859,86 @@ def test_board_calls_a_service_and_gets_the_response_to_its_request() -> None:
     (requested,) = of_kind(here, events.ServiceRequested)
     assert requested.payload == REQUEST  # type: ignore[attr-defined]
     response = here.session.response_endpoint(requested.service)  # type: ignore[attr-defined]
-    here.session.respond(response, RESPONSE)
+    here.session.respond(response, RESPONSE, request=requested.request)  # type: ignore[attr-defined]
     here.write()
     here.do(client.listen(1.0))
     assert taken(here, REQUESTER) == [struct.pack(">HH", 0x0055, REQUESTER) + RESPONSE_CDR]
+    for request in (requested.request, None, b"another"):  # type: ignore[attr-defined]
+        with pytest.raises(UnknownTopic):
+            here.session.respond(response, RESPONSE, request=request)
+
+
+def called(here: World, count: int = 1) -> list[events.ServiceRequested]:
+    """Let the board call its service, and return the events of these calls."""
+    before = len(of_kind(here, events.ServiceRequested))
+    for _ in range(count):
+        here.do(here.client.publish(REQUESTER, b"\1"))
+    return [
+        each for each in of_kind(here, events.ServiceRequested)[before:] if isinstance(each, events.ServiceRequested)
+    ]
+
+
+def respond(here: World, requested: events.ServiceRequested, payload: bytes | None = RESPONSE) -> None:
+    """Answer a call of the board."""
+    here.session.respond(here.session.response_endpoint(requested.service), payload, request=requested.request)
+    here.write()
+
+
+def test_responses_in_another_order_go_to_the_requests_that_they_are_for() -> None:
+    here = connected()
+    calls = called(here, 3)
+    for at in (2, 0, 1):
+        respond(here, calls[at], struct.pack("<BI1s", 1, 1, b"abc"[at : at + 1]))
+    here.do(here.client.listen(1.0))
+    first = int.from_bytes(calls[0].request[-4:-2])  # type: ignore[index]
+    found = {int.from_bytes(payload[:2]) - first: payload[-2:-1] for payload in taken(here, REQUESTER)}
+    assert found == {0: b"a", 1: b"b", 2: b"c"}
+
+
+@pytest.mark.parametrize("key", [KEY, b"anew"])
+def test_board_that_begins_anew_waits_for_no_response_to_its_request_of_before(key: bytes) -> None:
+    here = connected()
+    (before,) = called(here)
+    assert before.request is not None
+    assert here.session.is_waiting_for(before.service, before.request)
+    here.client = Client(key=key)
+    here.run(here.now_s + RESTART_SILENCE_S)
+    assert here.do(here.client.connect())
+    here.do(creations(here.client))
+    here.run(here.now_s + 2 * QUIET_S)
+    (now,) = called(here)
+    assert now.service == before.service
+    assert now.request is not None
+    assert not here.session.is_waiting_for(before.service, before.request)
+    assert here.session.is_waiting_for(now.service, now.request)
     with pytest.raises(UnknownTopic):
-        here.session.respond(response, RESPONSE)
+        respond(here, before)
+
+
+def test_board_that_deletes_its_service_client_waits_for_no_response() -> None:
+    here = connected()
+    (requested,) = called(here)
+    here.do(here.client.delete(REQUESTER))
+    assert requested.request is not None
+    assert not here.session.is_waiting_for(requested.service, requested.request)
+    assert not here.session._clients[0x81, b""].calls
+
+
+def test_every_request_that_is_accepted_has_room_for_its_response() -> None:
+    here = connected()
+    client = here.session._clients[0x81, b""]
+    client.output.window = 0  # the board reads nothing
+    for each in called(here, CALLS_MAX // 2):
+        respond(here, each)
+    calls = called(here, CALLS_MAX)
+    assert len(calls) == CALLS_MAX // 2
+    for each in calls:
+        respond(here, each)
 
 
 def test_response_of_an_unknown_layout_is_zeros() -> None:
     here = connected()
-    here.do(here.client.publish(REQUESTER, b"\1"))
-    response = next(each for each in here.session.topics if each.kind is EndpointKind.SERVICE_CLIENT_SUBSCRIBER)
-    here.session.respond(response, None)
-    here.write()
+    respond(here, *called(here), None)
     here.do(here.client.listen(1.0))
     assert not any(taken(here, REQUESTER)[0][4:])
 
