@@ -119,12 +119,15 @@ class DeviceCalls:
                 call.drop()
 
     def _refuse(self, call: _DeviceCall, waiting: int, *, is_only: bool) -> None:
-        """Answer with DeviceBusy. Without room for the answer, end the link unless earlier answers are queued."""
+        """Answer with DeviceBusy. Without room for the answer, end the link unless earlier answers are queued.
+
+        A request with an identity is left unanswered then.
+        """
         self.refused += 1
         try:
             self._respond(call, DeviceBusy(call.endpoint.name, waiting))
         except HostlinkError as error:
-            if is_only:
+            if is_only or call.request is not None:
                 self._spawn(self._end(call, error), name=f"end of link {call.link.number}")
 
     async def _work(self, of_link: dict[int, deque[_DeviceCall]], topic_id: int) -> None:
@@ -224,6 +227,7 @@ class DeviceCalls:
         if not call.is_over and call.link.session.has(call.endpoint):
             reason = printable(str(error), MAX_REASON) or "no room for the answer"
             if call.request is not None:
+                call.link.session.leave_unanswered(call.endpoint, call.request)
                 log.warning("service.failed", service=printable(call.endpoint.name), reason=reason)
                 return
             log.error("service.unanswerable", service=printable(call.endpoint.name), reason=reason)

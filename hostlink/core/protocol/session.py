@@ -273,6 +273,9 @@ class DeviceSession(ABC):
         """Whether the device still waits for the response to a request with this identity, at a service of the host."""
         return True
 
+    def leave_unanswered(self, service: DeviceEndpoint, request: bytes) -> None:  # noqa: B027 - for those with identity
+        """Forget a request with this identity: its response cannot be sent."""
+
     @abstractmethod
     def room_bytes(self, endpoint: DeviceEndpoint) -> int:
         """Longest payload that the device takes at an endpoint."""

@@ -594,6 +594,12 @@ class XrceSession(DeviceSession):
         client = self._client_of(service)
         return client is not None and request in client.calls.get(object_id(service), ())
 
+    def leave_unanswered(self, service: DeviceEndpoint, request: bytes) -> None:
+        """Forget a request: its response cannot be sent, and others may wait in its place."""
+        client = self._client_of(service)
+        if client is not None:
+            client.calls.get(object_id(service), set()).discard(request)
+
     def room_bytes(self, endpoint: DeviceEndpoint) -> int:
         """Longest payload that the device takes at an endpoint: in one message, or in as many as its history holds."""
         client = self._client_of(endpoint)

@@ -7,6 +7,7 @@ is answered by `ANSWER 7 True text`. `HELLO` has the names of the services that 
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Mapping
+from typing import ClassVar
 
 import pytest
 
@@ -296,6 +297,10 @@ class LongerSession(CallingSession):
 
 class DeafSession(LongerSession):
     ROOM_BYTES = 6  # less than the shortest response
+    left: ClassVar[list[bytes]] = []
+
+    def leave_unanswered(self, service: DeviceEndpoint, request: bytes) -> None:  # noqa: ARG002 - each is unique
+        self.left.append(request)
 
 
 class Talker(Program):
@@ -316,8 +321,11 @@ def test_answer_is_cut_to_what_the_encoding_of_the_device_leaves() -> None:
 def test_device_without_room_for_an_answer_keeps_its_link_if_its_requests_have_an_identity() -> None:
     async def run() -> int:
         async with device(Talker(0.1), DeafSession) as (hub, end):
-            await end.send(b"ASK 1 1\n")
+            DeafSession.left.clear()
+            count = MAX_WAITING + 3  # the last ones are refused
+            await end.send("".join(f"ASK {number} 1\n" for number in range(count)).encode())
             await asyncio.sleep(2 * DEVICE_TIMEOUT_S)
+            assert sorted(DeafSession.left) == [str(number).encode() for number in range(count)]
             return len(hub.links.all())
 
     assert run_virtual(run()) == 1

@@ -924,6 +924,16 @@ def test_board_that_deletes_its_service_client_waits_for_no_response() -> None:
     assert not here.session._clients[0x81, b""].calls
 
 
+def test_request_that_is_left_unanswered_takes_no_place_of_another() -> None:
+    here = connected()
+    for _ in range(2 * CALLS_MAX):
+        (requested,) = called(here)
+        assert requested.request is not None
+        here.session.leave_unanswered(requested.service, requested.request)
+        assert not here.session.is_waiting_for(requested.service, requested.request)
+    assert here.session.counts.refused_frames == 0
+
+
 def test_every_request_that_is_accepted_has_room_for_its_response() -> None:
     here = connected()
     client = here.session._clients[0x81, b""]
