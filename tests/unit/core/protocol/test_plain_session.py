@@ -32,6 +32,12 @@ def test_session_of_a_plain_protocol_counts_and_refuses_nothing() -> None:
     assert session.stop_frames((b"zero", b"other")).last_writes == (b"zero", b"other")
 
 
+def test_device_of_a_plain_protocol_waits_for_the_response_to_each_request() -> None:
+    session = announced()
+    assert session.is_waiting_for(OTHER, b"1")
+    session.leave_unanswered(OTHER, b"1")
+
+
 def test_endpoint_that_is_announced_may_still_be_there_and_no_other() -> None:
     session = announced()
     assert [session.may_have(each) for each in session.topics] == [True] * len(session.topics)

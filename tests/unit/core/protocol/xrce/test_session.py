@@ -934,6 +934,15 @@ def test_request_that_is_left_unanswered_takes_no_place_of_another() -> None:
     assert here.session.counts.refused_frames == 0
 
 
+def test_request_of_a_client_that_is_gone_may_be_left_unanswered() -> None:
+    here = connected()
+    (requested,) = called(here)
+    assert requested.request is not None
+    del here.session._clients[0x81, b""]
+    here.session.leave_unanswered(requested.service, requested.request)
+    assert not here.session.is_waiting_for(requested.service, requested.request)
+
+
 def test_every_request_that_is_accepted_has_room_for_its_response() -> None:
     here = connected()
     client = here.session._clients[0x81, b""]
