@@ -359,7 +359,7 @@ class Admission:
         if joined is not None and command.epoch is None:
             command = command._replace(epoch=joined.pop_epoch(command.received_s))
         if command.epoch is None:
-            stopped_s = self._obeyed_s if waited_s >= self.lease_s else self._stopped_s
+            stopped_s = max(self._stopped_s, self._obeyed_s if waited_s >= self.lease_s else -math.inf)
             is_earlier = now_s - waited_s < stopped_s - UNORDERED_S
         else:
             is_earlier = command.epoch != self.epoch

@@ -345,6 +345,14 @@ def test_stream_that_began_in_the_pause_in_which_a_stop_arrived_drives_after_it_
     assert robot.command().is_admitted
 
 
+def test_stream_from_before_a_pause_that_is_read_after_it_drives_after_it_let_go(robot: Timeline) -> None:
+    began_s = robot.now_s - 1.0
+    robot.admission.interrupt(robot.now_s, since_s=began_s, came_s=began_s)
+    assert robot.command(waited_s=2.0).kind is RefusalKind.LATE
+    robot.wait(0.1)
+    assert robot.command().kind is RefusalKind.DISARMED
+
+
 def test_command_that_a_late_loop_reads_after_a_stop_or_beside_other_interruptions_is_admitted(robot: Timeline) -> None:
     """The stop may have waited for the loop as long as the command did."""
     robot.admission.interrupt(robot.now_s, came_s=robot.now_s - 0.3)
