@@ -696,9 +696,11 @@ def check_ports(config: Config) -> None:
     """
     boards = config.micro_ros
     for kind, first, second in (("tcp", config.tcp, boards.tcp), ("udp", config.udp, boards.udp)):
-        if first is None or second is None or first.port != second.port or not first.port:
-            continue
-        if first.host == second.host or not {first.host, second.host}.isdisjoint(_EVERY_ADDRESS):
+        if first is None or second is None or not first.port:
+            continue  # one listener, or any free port
+        hosts = {first.host, second.host}
+        overlap = len(hosts) == 1 or not hosts.isdisjoint(_EVERY_ADDRESS)
+        if first.port == second.port and overlap:
             problem = f"{kind.upper()} port {second.port} is that of [{kind}], too; give each its own"
             raise ConfigError(f"micro_ros.{kind}.port", problem)
 

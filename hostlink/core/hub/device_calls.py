@@ -60,8 +60,9 @@ class _DeviceCall:
     @property
     def is_over(self) -> bool:
         """Whether the device no longer waits for the answer."""
-        is_known = self.request is None or self.link.session.is_waiting_for(self.endpoint, self.request)
-        return self._is_dropped or not is_known
+        if self._is_dropped or self.request is None:
+            return self._is_dropped
+        return not self.link.session.is_waiting_for(self.endpoint, self.request)
 
     def is_given_up_for(self, newer: "_DeviceCall") -> bool:
         """Whether a newer call shows that the device no longer waits for the answer to this one.

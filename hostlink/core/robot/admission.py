@@ -359,7 +359,9 @@ class Admission:
         if joined is not None and command.epoch is None:
             command = command._replace(epoch=joined.pop_epoch(command.received_s))
         if command.epoch is None:
-            stopped_s = max(self._stopped_s, self._obeyed_s if waited_s >= self.lease_s else -math.inf)
+            stopped_s = self._stopped_s
+            if waited_s >= self.lease_s:
+                stopped_s = max(stopped_s, self._obeyed_s)
             is_earlier = now_s - waited_s < stopped_s - UNORDERED_S
         else:
             is_earlier = command.epoch != self.epoch
@@ -605,13 +607,15 @@ class Admission:
         is from before the interruption. A lock has none: commands are refused from then on.
         `by` names the interruption for refusals; None: it is unknown.
         """
+        is_pause = since_s is not None
         if since_s is None:
             since_s = now_s if came_s is None else min(came_s, now_s)
-            self._obeyed_s = self._obeyed_s if came_s is None else now_s
         self.epoch += 1
         self.interrupted_by, self._interrupted_s = by, now_s
         if came_s is not None:
             self._stopped_s = max(self._stopped_s, came_s)
+            if not is_pause:
+                self._obeyed_s = now_s
         self._drivers.clear()
         if since_s < self._unrecorded_s + self.lease_s:
             self.distrust(now_s)

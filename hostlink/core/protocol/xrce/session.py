@@ -964,7 +964,7 @@ class XrceSession(DeviceSession):
         endpoint = self._by_key.get(id_) if self._announce_s == math.inf else None
         if endpoint is not None and written.kind == ObjectKind.DATAWRITER and client.is_confirmed and not self._refused:
             payload = self._payload(endpoint, submessage.payload[REQUEST_BYTES:])  # nearly always
-            if payload is not None:
+            if not isinstance(payload, BadPayload):
                 found.append(events.MessageReceived(endpoint, payload))
             return
         if endpoint is None:
@@ -983,16 +983,16 @@ class XrceSession(DeviceSession):
             self._take_response(endpoint, content, found)
         else:
             payload = self._payload(endpoint, content)
-            if payload is not None:
+            if not isinstance(payload, BadPayload):
                 found.append(events.MessageReceived(endpoint, payload))
 
-    def _payload(self, endpoint: DeviceEndpoint, content: bytes) -> bytes | None:
-        """Translate what a device sends; None if it is not of its type."""
+    def _payload(self, endpoint: DeviceEndpoint, content: bytes) -> bytes | BadPayload:
+        """Translate what a device sends. What is not of its type is counted, and the reason is returned."""
         try:
             return self._payloads.from_device(endpoint, content)
-        except BadPayload:
+        except BadPayload as error:
             self._undecodable += 1
-            return None
+            return error.with_traceback(None)
 
     def _take_request(
         self, client: XrceClient, endpoint: DeviceEndpoint, payload: bytes, found: list[events.Event]
@@ -1005,7 +1005,7 @@ class XrceSession(DeviceSession):
         translated = content if endpoint.key in self._refused else self._payload(endpoint, content)
         id_ = object_id(endpoint)
         waiting = client.calls.setdefault(id_, set())
-        if translated is None or len(waiting) + len(client.samples.get(id_, ())) >= CALLS_MAX:
+        if isinstance(translated, BadPayload) or len(waiting) + len(client.samples.get(id_, ())) >= CALLS_MAX:
             self.counts.refused_frames += 1
             return
         self._requests += 1
@@ -1022,12 +1022,9 @@ class XrceSession(DeviceSession):
             return
         while waiting.popleft() != number:
             self.counts.refused_frames += 1
-        identity, content = _identity(number), content[SAMPLE_IDENTITY_BYTES:]
-        try:
-            payload = self._payloads.from_device(endpoint, content)
-        except BadPayload as error:
-            self._undecodable += 1
-            found.append(events.ResponseRefused(endpoint, error.with_traceback(None), identity))
+        identity, payload = content[:SAMPLE_IDENTITY_BYTES], self._payload(endpoint, content[SAMPLE_IDENTITY_BYTES:])
+        if isinstance(payload, BadPayload):
+            found.append(events.ResponseRefused(endpoint, payload, identity))
         else:
             found.append(events.ServiceResponded(endpoint, payload, identity))
 
