@@ -379,11 +379,9 @@ async def test_micro_ros_is_named_where_it_matters(browser: Browser) -> None:
         server.show(state)
         await tab.shows("#robots .boards", "STM32 or another UART")
         assert await tab.page.locator("#robots", has_text="micro-ROS").count() == 0
-    async with page_server() as server, visit(browser, server.url) as tab:
         state.listening |= {"micro_ros": ["udp://127.0.0.1:8888"]}
         server.show(state)
         await tab.shows("#robots .boards", "hostlink serve --micro-ros udp://0.0.0.0:8888")
-    async with page_server() as server, visit(browser, server.url) as tab:
         state.listening |= {"micro_ros": ["udp://192.168.4.1:8888"]}
         server.show(state)
         await tab.shows("#robots .ways", "micro-ROS over UDP: 192.168.4.1:8888")

@@ -48,7 +48,6 @@ export class Waiting {
   private readonly ways = find("#robots .ways");
   private readonly heard = make("div", { class: "heard" });
   private readonly found = make("div", { class: "found" });
-  private isLoaded = false; // the addresses, since the daemon was last heard
   private isAsking = false;
   private askedAt = Number.NEGATIVE_INFINITY;
 
@@ -57,32 +56,32 @@ export class Waiting {
     find("#robots .empty").tabIndex = 0; // keys scroll it
   }
 
-  /** Request the addresses after each reconnect: the daemon may have been restarted with other ports. */
+  /** Ask at once after a reconnect: the daemon may have been restarted with other ports. */
   show(): void {
     const { isHeard, isKnown, robots } = this.fleet;
-    if (!isHeard) this.isLoaded = false;
-    if (!isHeard || !isKnown || robots.length > 0) return;
-    if (!this.isLoaded) {
-      this.isLoaded = true;
-      void this.load();
-    }
-    void this.diagnose();
+    if (!isHeard) this.askedAt = Number.NEGATIVE_INFINITY;
+    if (isHeard && isKnown && robots.length === 0) void this.ask();
+  }
+
+  private async ask(): Promise<void> {
+    if (this.isAsking || document.hidden || performance.now() < this.askedAt + AGAIN_MS) return;
+    this.isAsking = true;
+    this.askedAt = performance.now();
+    await Promise.all([this.showPorts(), this.diagnose()]);
+    this.isAsking = false;
   }
 
   /** Show nothing without an answer: an older daemon does not tell its addresses. */
-  private async load(): Promise<void> {
+  private async showPorts(): Promise<void> {
     try {
       const listening = await rest<Listening>("GET", "api/listening");
-      this.ways.replaceChildren(...ways(listening), boards(listening));
+      replace(this.ways, [...ways(listening), boards(listening)]);
     } catch {
-      this.ways.replaceChildren();
+      replace(this.ways, []);
     }
   }
 
   private async diagnose(): Promise<void> {
-    if (this.isAsking || document.hidden || performance.now() < this.askedAt + AGAIN_MS) return;
-    this.isAsking = true;
-    this.askedAt = performance.now();
     try {
       const { findings, arrivals } = await rest<Diagnosis>("GET", "api/diagnosis");
       replace(this.heard, heard(arrivals));
@@ -93,8 +92,6 @@ export class Waiting {
     } catch {
       replace(this.heard, []);
       replace(this.found, []);
-    } finally {
-      this.isAsking = false;
     }
   }
 }
