@@ -13,7 +13,7 @@ from hostlink.core.protocol.rosserial.stream import FrameStream
 from hostlink.core.protocol.session import DeviceProtocol
 from tests.support.fake_device import topic
 from tests.support.simulation.clock import WorldLoop
-from tests.support.simulation.journal import Counted, Journal, Obeyed
+from tests.support.simulation.journal import Counted, Journal, Obeyed, Rebooted
 from tests.support.simulation.wire import Connection
 
 POSE_ID, COUNT_ID, VELOCITY_ID, TEXT_ID = 125, 126, 100, 101
@@ -80,6 +80,7 @@ class Board:
 
     def reboot(self, *, keeps_connection: bool) -> None:
         """Power off and on; its radio may keep the connection."""
+        self._journal.add(Rebooted(self._loop.world_s, self.name))
         if not keeps_connection:
             self._hang_up()
         self._stream = FrameStream()

@@ -55,6 +55,13 @@ class Obeyed(NamedTuple):
     angular_rad_s: float
 
 
+class Rebooted(NamedTuple):
+    """A board has lost what it had read, and perhaps kept its connection."""
+
+    at_s: float
+    robot: str
+
+
 class Given(NamedTuple):
     """The component has given a command to the daemon."""
 
@@ -132,6 +139,7 @@ Record = (
     | Stuck
     | Written
     | Obeyed
+    | Rebooted
     | Given
     | Interrupted
     | Answered

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from hostlink.core.hub.gates import Gates
+from hostlink.core.hub.participant import Participant
 from hostlink.core.hub.queue import Queue
 from hostlink.core.hub.stall_watch import StallWatch
 from hostlink.core.hub.topic import Topic
@@ -72,6 +73,17 @@ def lose_messages(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Topic, "publish", lossy)
 
 
+def lose_texts(patch: pytest.MonkeyPatch) -> None:
+    publish, numbers = Participant.publish, {"text": 0}
+
+    def lossy(participant: Participant, topic: str, payload: bytes, **named: Any) -> None:
+        numbers["text"] += topic.endswith("text")
+        if not topic.endswith("text") or numbers["text"] % 10:
+            publish(participant, topic, payload, **named)
+
+    patch.setattr(Participant, "publish", lossy)
+
+
 def keep_queues(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Queue, "release", lambda _: None)
 
@@ -100,6 +112,7 @@ def broken(mutate: Callable[[pytest.MonkeyPatch], None], promise: str, seeds: It
         (notice_no_pauses, "after its lease"),
         (notice_no_pauses, "has not let go since the pause"),
         (lose_messages, "on an intact connection"),
+        (lose_texts, "is lost on an intact connection"),
         (keep_queues, "the byte budget holds"),
     ],
 )
