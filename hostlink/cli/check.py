@@ -4,20 +4,17 @@
 such as a port that another program uses, is a warning.
 """
 
-import dataclasses
 import errno
 import math
 import operator
 import re
-import resource
 from collections import Counter
 from collections.abc import Iterator
 
+from hostlink.cli.descriptors import connections_of, fitted, ports_of
 from hostlink.cli.output import quantity
-from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiConfig
-from hostlink.components.ros1.settings import Ros1Config
-from hostlink.core.components import chosen_components
-from hostlink.core.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, check_ports, is_place
+from hostlink.cli.usual import chosen
+from hostlink.core.config import Config, SerialConfig, TcpConfig, UdpConfig, check_port, check_ports, is_place
 from hostlink.core.hub.hub import Hub
 from hostlink.core.hub.parameters import to_parameter
 from hostlink.core.hub.robot_settings import check_command, drive_in, encoders_lack, frames_of, lacking
@@ -31,89 +28,6 @@ from hostlink.core.runtime.listening import close_all, spelled
 from hostlink.core.transport.serial import find_port
 from hostlink.core.transport.udp import serve_udp
 from hostlink.errors import ConfigError, HostlinkError
-
-# -- components -------------------------------------------------------------------------------------------------------
-
-GATEWAY = "gateway"
-USUAL = (GATEWAY, "recorder")  # components that run unless [components] switches them off
-
-
-def is_on(config: Config, usual: str) -> bool:
-    """Whether one of USUAL runs."""
-    return config.components.get(usual, True)
-
-
-# -- descriptors ------------------------------------------------------------------------------------------------------
-
-OWN = 64  # descriptors of the daemon itself: listening sockets, the event loop, the log, files that are read
-NODE_SHARES = 3  # of nodes of ROS: connections to each of two ports, and connections of hostlink to nodes
-FEWEST = OWN + 4 * KEPT_FOR_REQUESTS
-FEWEST_DEVICES = 2  # for each port
-
-
-def limit() -> int:
-    """Return the number of descriptors that this process may have: the system's soft limit."""
-    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return 1 << 30 if soft == resource.RLIM_INFINITY else soft
-
-
-def fitted(config: Config, descriptors: int) -> Config:
-    """Limit connections so that devices, programs and nodes of ROS cannot use up each other's descriptors.
-
-    With too few descriptors, each kind gets a share in proportion to its configured maximum.
-
-    Raises:
-        ConfigError: the process has fewer than FEWEST descriptors.
-    """
-    if descriptors < FEWEST + len(config.serial):
-        raise ConfigError(
-            "ulimit -n", f"{descriptors} descriptors are too few; allow at least {FEWEST + len(config.serial)}"
-        )
-    room = descriptors - OWN - len(config.serial)
-    others = {name: part.max_connections for name, part in _other_ports(config).items()}
-    devices = config.tcp.max_connections + sum(others.values())
-    api, ros1 = config.table("api", ApiConfig), config.table("ros1", Ros1Config)
-    programs = api.max_connections if is_on(config, GATEWAY) else 0
-    nodes = ros1.max_connections * NODE_SHARES if ros1.master else 0
-    if devices + programs + nodes <= room:
-        return config
-    if nodes:
-        nodes = min(room * nodes // (devices + programs + nodes), room - (FEWEST - OWN))
-        ros1 = dataclasses.replace(ros1, max_connections=max(1, nodes // NODE_SHARES))
-        config, room = config.with_tables(ros1=ros1), room - nodes
-    kept = FEWEST_DEVICES * (1 + len(others))
-    programs = min(max(KEPT_FOR_REQUESTS + 1, room * programs // (devices + programs)), programs, room - kept)
-    room -= programs
-    left = room
-    for number, (name, most) in enumerate(others.items(), 1):
-        kept = FEWEST_DEVICES * (1 + len(others) - number)
-        others[name] = min(max(FEWEST_DEVICES, room * most // devices), most, left - kept)
-        left -= others[name]
-    if programs:
-        config = config.with_tables(api=dataclasses.replace(api, max_connections=programs))
-    udp, boards = config.udp, config.micro_ros
-    return dataclasses.replace(
-        config,
-        tcp=dataclasses.replace(config.tcp, max_connections=min(config.tcp.max_connections, left)),
-        udp=udp and dataclasses.replace(udp, max_connections=others["udp"]),
-        micro_ros=dataclasses.replace(
-            boards,
-            udp=boards.udp and dataclasses.replace(boards.udp, max_connections=others["micro_ros.udp"]),
-            tcp=boards.tcp and dataclasses.replace(boards.tcp, max_connections=others["micro_ros.tcp"]),
-        ),
-    )
-
-
-def _other_ports(config: Config) -> dict[str, TcpConfig | UdpConfig]:
-    """Return the settings of every port for devices but the first, by their name in the file."""
-    udp, tcp = config.micro_ros.udp, config.micro_ros.tcp
-    found = {
-        "udp": config.udp,
-        "micro_ros.udp": None if udp is None else udp.listening(),
-        "micro_ros.tcp": None if tcp is None else tcp.listening(),
-    }
-    return {name: part for name, part in found.items() if part is not None}
-
 
 # -- checks -----------------------------------------------------------------------------------------------------------
 
@@ -135,54 +49,46 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     """
     _check_values(config)
     hub = Hub(config, Catalog(config.message_folders))  # message folders, limits of robots
-    TcpAcceptor(hub, config.tcp)  # the key
     for serial in config.serial:
         protocols_of(hub, serial)
     warnings = []
-    for each in chosen_components(config, USUAL):  # the warnings of those with tables of other names begin with a key
-        warnings += [f"{'' if each.kind.tables else f'{each.name}: '}{warning}" for warning in each.make().check()]
-    warnings += [] if is_listening else await _try_port("tcp", config.tcp.host, config.tcp.port)
-    if is_on(config, GATEWAY):
-        api = config.table("api", ApiConfig)
-        warnings += await _try_port("api", api.host, api.port)
-    for name, part in _other_ports(config).items():
+    for each in chosen(config):  # the warnings of those with tables of other names begin with a key
+        component = each.make()
+        warnings += [f"{'' if each.kind.tables else f'{each.name}: '}{warning}" for warning in component.check()]
+        for table, (host, port) in component.listens().items():
+            check_port(f"{table}.port", port)
+            warnings += await _try_port(table, host, port)
+    for name, part in ports_of(config).items():
         if isinstance(part, UdpConfig):
             UdpAcceptor(hub, part)
             warnings += await _try_datagrams(name, part)
         else:
-            TcpAcceptor(hub, part)
-            warnings += await _try_port(name, part.host, part.port)
-    fits = fitted(config, descriptors)
-    if fits != config:
-        sessions = "" if fits.udp is None else f", {fits.udp.max_connections} over UDP"
-        warnings.append(
-            f"{descriptors} descriptors (ulimit -n) are enough only for {fits.tcp.max_connections} devices{sessions} "
-            f"and {fits.table('api', ApiConfig).max_connections} connections of programs"
-        )
+            TcpAcceptor(hub, part)  # the key
+            warnings += [] if is_listening and part is config.tcp else await _try_port(name, part.host, part.port)
+    fits, most = connections_of(fitted(config, descriptors)), connections_of(config)
+    few = [f"{name}.max_connections {claim.most}" for name, claim in fits.items() if claim.most != most[name].most]
+    if few:
+        warnings.append(f"{descriptors} descriptors (ulimit -n) are enough only for {', '.join(few)}")
     return [*warnings, *_suspicious(config)]
 
 
 def describe(config: Config) -> list[str]:
     """Lines that describe what would be served."""
-    tcp, udp, chosen = config.tcp, config.udp, chosen_components(config, USUAL)
+    tcp, udp, components = config.tcp, config.udp, chosen(config)
     lines = [f"devices on TCP {spelled(tcp.host, tcp.port)}, from {_describe_who(tcp)}, at most {tcp.max_connections}"]
     if udp is not None:
         believed = f"; {', '.join((*udp.trusted, *udp.devices))} trusted" if udp.trusted or udp.devices else ""
         where = spelled(udp.host, udp.port)
         lines.append(f"devices on UDP {where}, from {_describe_who(udp)}, at most {udp.max_connections}{believed}")
-    for name, part in _other_ports(config).items():
-        if part is not udp:
+    for name, part in ports_of(config).items():
+        if name.startswith("micro_ros."):
             where, most = spelled(part.host, part.port), part.max_connections
             lines.append(f"micro-ROS boards on {name[-3:].upper()} {where}, from {_describe_who(part)}, at most {most}")
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
-    lines += [each.make().describe() for each in chosen if each.kind.begins_first]
-    ros1 = config.table("ros1", Ros1Config)
-    if ros1.master:
-        node = "/".join(["", *filter(None, ros1.namespace.split("/")), ros1.name])
-        lines.append(f"node {node} of the ROS 1 master at {ros1.master}")
+    lines += [each.make().describe() for each in components if each.kind.begins_first]
     for name, robot in config.robots.items():
         lines.append(f"robot {name}, {robot.address or ' and '.join(robot.devices or ()) or 'known by its topics'}")
-    lines += [each.make().describe() for each in chosen if not each.kind.begins_first]
+    lines += [each.make().describe() for each in components if not each.kind.begins_first]
     lines += [f"messages in {folder}" for folder in config.message_folders]
     return [*lines, quantity(len(config.parameters), "parameter")]
 
@@ -202,13 +108,8 @@ def _describe_port(port: SerialConfig) -> str:
 
 
 def _check_values(config: Config) -> None:
-    ros1 = config.table("ros1", Ros1Config)
-    ports = {"tcp.port": config.tcp.port, "api.port": config.table("api", ApiConfig).port}
-    ports |= {f"{name}.port": part.port for name, part in _other_ports(config).items()}
-    ports |= {"ros1.port": ros1.port, "ros1.tcpros_port": ros1.tcpros_port}
-    for where, port in ports.items():
-        if not 0 <= port <= MAX_PORT:
-            raise ConfigError(where, f"{port} is not a port; choose 0 (any free one) to {MAX_PORT}")
+    for name, part in ports_of(config).items():
+        check_port(f"{name}.port", part.port)
     check_ports(config)
     for where, number in _positive(config):
         if number is not None and not 0 < number < math.inf:

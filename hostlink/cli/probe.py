@@ -12,10 +12,10 @@ from typing import Any
 
 import msgspec
 
-from hostlink.cli.check import USUAL
 from hostlink.cli.connecting import counted
 from hostlink.cli.doctor import Report, rates, report_of
 from hostlink.cli.serve import running
+from hostlink.cli.usual import USUAL
 from hostlink.core.config import Config, SerialConfig, TcpConfig
 from hostlink.core.diagnosis.finding import Finding, finding
 from hostlink.core.diagnosis.replay import Replay, replay

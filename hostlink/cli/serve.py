@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import dataclasses
-import importlib
 import os
 import signal
 import socket
@@ -12,17 +11,18 @@ from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 
 import structlog
 
-from hostlink.cli.check import USUAL, check, describe, fitted, limit
+from hostlink.cli.check import check, describe
+from hostlink.cli.descriptors import fitted, limit
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.garbage import collect_while_idle, return_large_blocks, shorten_pauses
 from hostlink.cli.library_logs import complaints_logged
 from hostlink.cli.output import quantity, write, write_error
 from hostlink.cli.start import importing_fast
 from hostlink.cli.systemd import Notifier
+from hostlink.cli.usual import USUAL, chosen
 from hostlink.components.gateway.settings import ApiAddress
 from hostlink.components.ros1.settings import Ros1Config
 from hostlink.core import running as core
-from hostlink.core.components import Make, chosen_components
 from hostlink.core.config import Config
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.hub.gates import Guard
@@ -35,7 +35,7 @@ from hostlink.core.runtime.listening import close_all, spelled
 
 log = structlog.get_logger()
 
-OnGraphEnd = Callable[[str], None]
+OnEndRequest = Callable[[str], None]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -53,20 +53,21 @@ async def running(
     config: Config,
     *,
     guard: Guard | None = None,
-    on_graph_end: OnGraphEnd = lambda _: None,
+    on_end_request: OnEndRequest = lambda _: None,
     on_listening: Callable[[], None] = lambda: None,
     read: Read | None = None,
     listening: Sequence[socket.socket] = (),
 ) -> AsyncIterator[tuple[Hub, Addresses]]:
     """Run the whole daemon for the length of a block: the core, and the components that the settings switch on.
 
-    `on_graph_end` is called with the reason when this node of a ROS graph was shut down by ROS. `on_listening` is
-    called when every port is open. `read` reads the configuration again, as a new start would. `listening` are the
-    sockets for devices, if they are open already.
+    `on_end_request` is called with the reason when a component asks the daemon to end: ROS has shut down its node.
+    `on_listening` is called when every port is open. `read` reads the configuration again, as a new start would.
+    `listening` are the sockets for devices, if they are open already.
     """
 
     @contextlib.asynccontextmanager
     async def parts(hub: Hub) -> AsyncIterator[None]:
+        hub.on_end_request = on_end_request
         async with (
             complaints_logged(),
             kept_names(hub.links, names_file(config)),
@@ -75,21 +76,15 @@ async def running(
             with reload_signal(hub.reloader):
                 yield
 
-    own: dict[str, Make] = {}
-    node = config.table("ros1", Ros1Config)
-    if node.master:
-        ros1 = importlib.import_module("hostlink.components.ros1.node").Ros1
-        own["ros1"] = lambda: ros1(node, on_graph_end)
     async with core.running(
         config,
         guard=guard,
         read=read,
         around=parts,
         usual=USUAL,
-        own=own,
         on_listening=on_listening,
         listening=listening,
-        namespace=node.namespace,
+        namespace=config.table("ros1", Ros1Config).namespace,
     ) as (hub, devices):
         gateway = hub.offered(ApiAddress)
         api = {} if gateway is None else {"api": gateway.url}
@@ -116,7 +111,7 @@ def import_components(config: Config) -> None:
         ConfigError: one is not installed, or cannot be imported.
     """
     with importing_fast():
-        chosen_components(config, USUAL)
+        chosen(config)
 
 
 def run(
@@ -167,15 +162,10 @@ async def serve(
     return_large_blocks()
     notifier = Notifier(os.environ)
     with stop_signals() as ending, guarded(is_wanted=config.guardian) as guardian:
-
-        def graph_ended(reason: str) -> None:
-            if ends_with_graph:
-                ending.request(reason)
-
         async with running(
             config,
             guard=guardian,
-            on_graph_end=graph_ended,
+            on_end_request=ending.request if ends_with_graph else lambda _: None,
             on_listening=lambda: None if guardian is None else guardian.start(),  # not if a port is in use
             read=read,
             listening=listening,

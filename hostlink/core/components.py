@@ -27,7 +27,7 @@ STEADY_S = 60.0  # after a run of this length the pause is the first one again
 
 log = structlog.get_logger()
 AnyComponent = Component[Any]
-Make = Callable[[], AnyComponent]  # of a component for one run
+Make = Callable[[], AnyComponent]  # makes a component for one run
 
 
 def find_component(name: str) -> type[AnyComponent]:
@@ -71,9 +71,13 @@ class Chosen(NamedTuple):
         """Make it with these settings."""
         return self.kind(self.settings)
 
+    def table(self, name: str) -> Any:
+        """Return the settings of one of its tables in hostlink.toml."""
+        return getattr(self.settings, name) if self.kind.tables else self.settings
+
 
 def chosen_components(config: Config, usual: Iterable[str] = ()) -> list[Chosen]:
-    """Return the components that run: one has a table, [components] switches it on, or it is `usual` and not off.
+    """Return the components that run: one is wanted by its table, switched on in [components], or `usual` and not off.
 
     Raises:
         ConfigError: a component is not installed, cannot be imported, or needs settings that the file does not have.
@@ -86,7 +90,9 @@ def chosen_components(config: Config, usual: Iterable[str] = ()) -> list[Chosen]
         if not switches.get(name, True) and name in _entry_points():
             continue  # what is off is not imported
         kind = find_component(name)
-        chosen.append(Chosen(name, kind, _settings_of(config, name, kind)))
+        each = Chosen(name, kind, _settings_of(config, name, kind))
+        if name in switches or kind.is_wanted(each.settings):
+            chosen.append(each)
     return chosen
 
 
@@ -148,10 +154,10 @@ async def _begun(hub: Hub, chosen: Chosen) -> AsyncIterator[None]:
 
 
 @contextlib.asynccontextmanager
-async def begun(hub: Hub, chosen: Iterable[Chosen], own: Mapping[str, Make]) -> AsyncIterator[None]:
-    """Run the other components, and `own`, for the length of the block."""
-    making = {**own, **{each.name: _make(hub, each) for each in chosen if not each.kind.begins_first}}
-    async with meanwhile(*((name, supervise(hub, name, make)) for name, make in making.items())):
+async def begun(hub: Hub, chosen: Iterable[Chosen]) -> AsyncIterator[None]:
+    """Run the other components for the length of the block."""
+    others = [each for each in chosen if not each.kind.begins_first]
+    async with meanwhile(*((each.name, supervise(hub, each.name, _make(hub, each))) for each in others)):
         yield
 
 

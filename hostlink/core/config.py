@@ -688,6 +688,16 @@ def check_networks(**settings: tuple[str, ...]) -> None:
                 raise ValueError(f"{key}: {error}; write an address, or a network such as 192.168.4.0/24") from error
 
 
+def check_port(setting: str, port: int) -> None:
+    """Check the number of a port to listen on.
+
+    Raises:
+        ConfigError: it is not one.
+    """
+    if not 0 <= port <= MAX_PORT:
+        raise ConfigError(setting, f"{port} is not a port; choose 0 (any free one) to {MAX_PORT}")
+
+
 def check_ports(config: Config) -> None:
     """Check that no two listeners for devices have one port.
 

@@ -64,6 +64,7 @@ __all__ = [
     "Command",
     "CommandEndpoint",
     "Component",
+    "Connections",
     "Devices",
     "EventKind",
     "Graph",
@@ -108,7 +109,7 @@ __all__ = [
     "to_parameter",
 ]  # fmt: skip
 
-API_VERSION = (1, 2)  # the second number grows with what is added, the first with what is removed or changed
+API_VERSION = (1, 3)  # the second number grows with what is added, the first with what is removed or changed
 
 log = structlog.get_logger()
 Settings = TypeVar("Settings")
@@ -136,6 +137,13 @@ class RunWork(Protocol):
     def __call__(self, work: Coroutine[Any, Any, object], part: str, *, is_vital: bool) -> None: ...
 
 
+class Connections(NamedTuple):
+    """Share of a table with `max_connections` in the descriptors of the process, if these are too few."""
+
+    least: int = 1  # connections without which the component does not work
+    descriptors: int = 1  # that each connection takes
+
+
 class Component(Generic[Settings]):
     """Base of a component. One instance is made for each start of `run`.
 
@@ -146,6 +154,9 @@ class Component(Generic[Settings]):
     calls `host.ready`, or has failed; a `ConfigError` before its first `ready` ends the daemon. Of those that begin
     first, one begins after those that it `uses`, and ends before them. `tables` is for hostlink's own components that
     are older than tables by their name: these tables are theirs, and each field of `settings_type` is a table.
+
+    `connections`: its tables with a field `max_connections`, by name, which is made smaller if the process may not have
+    that many descriptors.
     """
 
     name: ClassVar[str]
@@ -154,9 +165,19 @@ class Component(Generic[Settings]):
     begins_first: ClassVar[bool] = False
     uses: ClassVar[tuple[str, ...]] = ()
     tables: ClassVar[tuple[str, ...]] = ()
+    connections: ClassVar[Mapping[str, Connections]] = {}
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+
+    @classmethod
+    def is_wanted(cls, settings: Settings) -> bool:  # noqa: ARG003 - for subclasses
+        """Whether a table with these settings makes it run, without a word in [components]."""
+        return True
+
+    def listens(self) -> Mapping[str, tuple[str, int]]:
+        """Return host and TCP port of its listeners, by table. `hostlink serve --check-config` tries them."""
+        return {}
 
     def check(self) -> Iterable[str]:
         """Return warnings about the settings, without I/O. `hostlink serve --check-config` prints them.
@@ -543,6 +564,10 @@ class Host:
         """Tell that the component works now, if it `begins_first`."""
         if self._ready is not None:
             self._ready.set()
+
+    def request_end(self, reason: str) -> None:
+        """Ask the daemon to end, which only one that was started for this component does: `hostlink ros1`."""
+        self._hub.on_end_request(reason)
 
     def offer(self, service: object) -> None:
         """Let other components find `service` by its type, until the run ends. A later one of its type replaces it."""

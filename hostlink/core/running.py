@@ -3,12 +3,12 @@
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from dataclasses import dataclass
 from socket import socket
 from time import thread_time
 
-from hostlink.core.components import Make, begun, begun_first, chosen_components, hosted
+from hostlink.core.components import begun, begun_first, chosen_components, hosted
 from hostlink.core.config import Config, MicroRosConfig, UdpConfig, check_ports
 from hostlink.core.guardian.guardian import guarded
 from hostlink.core.host import Host
@@ -69,7 +69,6 @@ async def running(
     read: Read | None = None,
     around: Around = contextlib.nullcontext,
     usual: Iterable[str] = (),
-    own: Mapping[str, Make] | None = None,
     on_listening: Callable[[], None] = lambda: None,
     listening: Sequence[socket] = (),
     namespace: str = "/",
@@ -78,7 +77,7 @@ async def running(
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
     `read` reads the settings again, as a new start would. `usual` are components that run unless the settings switch
-    them off; `own` are further ones by name. `around` begins before the first device is accepted, and ends after the
+    them off. `around` begins before the first device is accepted, and ends after the
     robots were stopped. `on_listening` is called when every port is open. `listening` are the sockets for devices, if
     they are open already. `namespace` is as of `Hub`.
     """
@@ -93,7 +92,7 @@ async def running(
             around(hub),
             begun_first(hub, chosen),
             _listening(hub, config, listening, on_listening) as addresses,
-            begun(hub, chosen, own or {}),
+            begun(hub, chosen),
         ):
             try:
                 yield hub, addresses

@@ -11,9 +11,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hostlink.cli.check import FEWEST, NODE_SHARES, check, fitted
+from hostlink.cli.check import check
+from hostlink.cli.descriptors import FEWEST, fitted
 from hostlink.cli.serve import running
 from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiConfig, TokenConfig
+from hostlink.components.ros1.node import DESCRIPTORS
 from hostlink.components.ros1.settings import Ros1Config
 from hostlink.core.config import Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.errors import ConfigError
@@ -139,4 +141,4 @@ def test_every_part_has_a_share_of_the_descriptors(
         share <= (wanted or 0) for share, wanted in zip(shares, (devices, sessions, programs, nodes), strict=True)
     )
     assert fits.table("api", ApiConfig).max_connections >= min(programs, KEPT_FOR_REQUESTS + 1)
-    assert shares[0] + shares[1] + shares[2] + NODE_SHARES * shares[3] <= descriptors
+    assert shares[0] + shares[1] + shares[2] + DESCRIPTORS * shares[3] <= descriptors

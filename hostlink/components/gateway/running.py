@@ -1,12 +1,13 @@
 """Gateway: component that serves rosbridge, Foxglove, the REST API, the page and the metrics on one port."""
 
 import asyncio
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from typing import ClassVar
 
 from hostlink.components.gateway.access import Access, is_loopback, tls_context
 from hostlink.components.gateway.server import serve_api, url_of
 from hostlink.components.gateway.settings import KEPT_FOR_REQUESTS, ApiAddress, ApiConfig, GatewaySettings, is_origin
-from hostlink.core.host import Component, Host
+from hostlink.core.host import Component, Connections, Host
 
 
 class Gateway(Component[GatewaySettings]):
@@ -17,6 +18,11 @@ class Gateway(Component[GatewaySettings]):
     tables = ("api",)
     begins_first = True  # so that a port in use is known before a device connects, and programs see the last stop
     uses = ("recorder",)
+    connections: ClassVar[Mapping[str, Connections]] = {"api": Connections(least=KEPT_FOR_REQUESTS + 1)}
+
+    def listens(self) -> Mapping[str, tuple[str, int]]:
+        """Return the address of the port."""
+        return {"api": (self.settings.api.host, self.settings.api.port)}
 
     def check(self) -> Iterable[str]:
         """Check tokens, certificate and limits."""

@@ -6,10 +6,10 @@ import ipaddress
 import os
 import socket
 import urllib.parse
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from dataclasses import asdict
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import structlog
 from aiohttp import web
@@ -19,7 +19,7 @@ from hostlink.components.ros1.connections import MakeProtocol, Port, Wire
 from hostlink.components.ros1.graph_sync import GraphSync
 from hostlink.components.ros1.local_node import GROUP, LocalNode
 from hostlink.components.ros1.master import MasterParameters, Registrar
-from hostlink.components.ros1.names import NameMap, NameResolver
+from hostlink.components.ros1.names import NameMap, NameResolver, joined
 from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.ros1.tcpros import ANY
 from hostlink.components.ros1.xml_rpc import (
@@ -31,7 +31,8 @@ from hostlink.components.ros1.xml_rpc import (
     encode_answer,
     encode_fault,
 )
-from hostlink.core.host import Component, Graph, Host, Message
+from hostlink.core.config import check_port
+from hostlink.core.host import Component, Connections, Graph, Host, Message
 from hostlink.core.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.core.runtime.acceptor import why
 from hostlink.core.runtime.cancellation import raise_if_cancelled
@@ -51,6 +52,7 @@ MAX_AGE_S = 60.0  # of a connection to the slave API; a later call connects agai
 KEEPALIVE_S = 10.0  # between two calls
 END_TIMEOUT_S = 0.3  # for calls that are under way
 READ_TIMEOUT_S = 5.0  # for the body of a call
+DESCRIPTORS = 3  # for each of `max_connections`: one at each of two ports, and one to a node
 
 _Answer = tuple[int, str, object]
 
@@ -296,11 +298,25 @@ class Ros1(Component[Ros1Config]):
 
     name = "ros1"
     settings_type = Ros1Config
+    connections: ClassVar[Mapping[str, Connections]] = {"ros1": Connections(descriptors=DESCRIPTORS)}
 
-    def __init__(self, settings: Ros1Config, on_end: Callable[[str], None] = lambda _: None) -> None:
-        """`on_end` is called with the reason when the node has ended."""
-        super().__init__(settings)
-        self._on_end = on_end
+    @classmethod
+    def is_wanted(cls, settings: Ros1Config) -> bool:
+        """Whether there is a master."""
+        return bool(settings.master)
+
+    def check(self) -> Iterable[str]:
+        """Check master and ports."""
+        if not self.settings.master:
+            raise ConfigError("ros1.master", "is missing; write the address of the ROS master: http://localhost:11311")
+        check_port("ros1.port", self.settings.port)
+        check_port("ros1.tcpros_port", self.settings.tcpros_port)
+        return ()
+
+    def describe(self) -> str:
+        """Return one line for --check-config."""
+        node = joined(self.settings.namespace, self.settings.name)
+        return f"node {node} of the ROS 1 master at {self.settings.master}"
 
     async def run(self, host: Host) -> None:
         """Take part in the graph. A node that ROS has shut down, or whose settings are wrong, is not started again."""
@@ -312,15 +328,16 @@ class Ros1(Component[Ros1Config]):
                 reason = str(group.exceptions[0])
             raise_if_cancelled()
         except Exception:
-            self._end(reason)
+            _end(host, reason)
             raise
-        self._end(reason)
+        _end(host, reason)
         host.report(reason)
         await asyncio.Event().wait()
 
-    def _end(self, reason: str) -> None:
-        log.warning("ros1.ended", reason=reason, advice="robots are served on; start hostlink again to be in the graph")
-        self._on_end(reason)
+
+def _end(host: Host, reason: str) -> None:
+    log.warning("ros1.ended", reason=reason, advice="robots are served on; start hostlink again to be in the graph")
+    host.request_end(reason)
 
 
 async def run_node(host: Host, config: Ros1Config) -> str:

@@ -85,6 +85,7 @@ class Hub(Shared):
         )
         self.is_running = asyncio.Event()  # `spawn` works when it is set
         self.listening = Listening()  # set by the listeners
+        self.on_end_request: Callable[[str], None] = lambda _: None  # called with the reason that a component gives
         self.robots = Robots(self.gates, config, first_epoch)
         self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()

@@ -4,12 +4,15 @@ import asyncio
 import socket
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from hostlink.cli.check import FEWEST, check, describe, fitted
+from hostlink.cli.check import check, describe
+from hostlink.cli.descriptors import FEWEST, fitted
 from hostlink.components.gateway.settings import ApiConfig, TokenConfig
 from hostlink.components.recorder.settings import RecordingConfig
+from hostlink.components.ros1.settings import Ros1Config
 from hostlink.components.zenoh.settings import ZenohSettings
 from hostlink.core.config import Config, EncodersConfig, LinkConfig, RobotConfig, SerialConfig, TcpConfig, WheelsConfig
 from hostlink.core.runtime.folders import FolderOwner, state_folder
@@ -305,13 +308,33 @@ def test_folder_of_recordings_that_another_daemon_owns_is_a_warning_that_names_t
     assert checked(config) == []
 
 
+@pytest.mark.parametrize(
+    ("node", "problem"),
+    [
+        ({"port": 70000}, "ros1.port: 70000 is not a port; choose 0 (any free one) to 65535"),
+        ({"tcpros_port": -1}, "ros1.tcpros_port: -1 is not a port; choose 0 (any free one) to 65535"),
+        ({"master": ""}, "ros1.master: is missing; write the address of the ROS master: http://localhost:11311"),
+    ],
+)
+def test_node_of_ros_1_that_cannot_be_served_is_refused(node: dict[str, Any], problem: str) -> None:
+    config = Config(components={"ros1": True}).with_tables(ros1=Ros1Config(**{"master": "http://m:1", **node}))
+    with pytest.raises(ConfigError) as refused:
+        checked(config)
+    assert str(refused.value) == problem
+
+
+def test_node_of_ros_1_is_described_by_its_full_name() -> None:
+    config = Config().with_tables(ros1=Ros1Config(master="http://m:1", namespace="/lab/", name="cars"))
+    assert "node /lab/cars of the ROS 1 master at http://m:1" in describe(config)
+    assert not any("ROS 1" in line for line in describe(Config().with_tables(ros1=Ros1Config(name="cars"))))
+
+
 def test_devices_and_programs_have_their_share_of_few_descriptors() -> None:
     assert fitted(Config(), 1024) == Config()
     small = fitted(Config(), 256)
     assert (small.tcp.max_connections, small.table("api", ApiConfig).max_connections) == (64, 128)
-    assert checked(Config(), 256)[0].startswith(
-        "256 descriptors (ulimit -n) are enough only for 64 devices and 128 conn"
-    )
+    few = "256 descriptors (ulimit -n) are enough only for tcp.max_connections 64, api.max_connections 128"
+    assert few in checked(Config(), 256)
     for descriptors in range(FEWEST, 1024):
         fits = fitted(Config(), descriptors)
         assert fits.tcp.max_connections + fits.table("api", ApiConfig).max_connections <= descriptors - 64

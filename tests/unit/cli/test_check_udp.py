@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.check import FEWEST, check, describe, fitted
+from hostlink.cli.check import check, describe
+from hostlink.cli.descriptors import FEWEST, fitted
 from hostlink.cli.serve_command import merge
 from hostlink.components.gateway.settings import ApiConfig
 from hostlink.core.config import (

@@ -336,7 +336,7 @@ async def test_those_that_begin_first_begin_after_what_they_use_and_end_before_i
     chosen = firsts(events)
     async with begun_first(made.hub, chosen):
         assert events == ["+b", "+a"]
-        async with begun(made.hub, chosen, {}):
+        async with begun(made.hub, chosen):
             await asyncio.sleep(0.2)
         events.append("the rest has ended")
     assert events == ["+b", "+a", "+other", "-other", "the rest has ended", "-a", "-b"]
@@ -415,7 +415,7 @@ async def test_each_run_has_the_settings_of_the_last_reload(made: MemoryHub) -> 
             super().__init__(settings)
             seen.append(settings.speed_m_s)
 
-    async with begun(made.hub, [Chosen("driver", Noting, Settings())], {}):
+    async with begun(made.hub, [Chosen("driver", Noting, Settings())]):
         await asyncio.sleep(0.5)
         made.hub.config = replace(made.hub.config, component_settings={"driver": Settings(speed_m_s=0.3)})
         await asyncio.sleep(1.0)
@@ -564,6 +564,11 @@ async def test_counters_and_troubles_are_shown_and_a_participant_that_left_is_fo
             host.join(f"program {number}").leave()
         assert len(host._participants) == before
         assert host.listening == made.hub.listening
+        ends: list[str] = []
+        host.request_end("no daemon ends by itself")
+        made.hub.on_end_request = ends.append
+        host.request_end("shut down")
+        assert ends == ["shut down"]
         host.log.info("driver.done")
     assert made.logged("driver.done")[0]["component"] == "driver"
 
@@ -631,7 +636,22 @@ def test_usual_component_runs_unless_it_is_off_and_has_the_tables_that_are_its_o
         config_of(tmp_path, "[recorder]")
 
 
+@pytest.mark.parametrize(
+    ("text", "is_chosen"),
+    [
+        pytest.param("[ros1]\nname = 'lab'", False, id="no master"),
+        pytest.param("[ros1]\nmaster = 'http://localhost:11311'", True, id="master"),
+        pytest.param("[ros1]\nmaster = 'http://localhost:11311'\n[components]\nros1 = false", False, id="off"),
+        pytest.param("[components]\nros1 = true", True, id="on"),
+    ],
+)
+def test_table_that_does_not_want_its_component_to_run_needs_a_switch(
+    tmp_path: Path, text: str, is_chosen: bool
+) -> None:
+    assert [each.name for each in chosen_components(config_of(tmp_path, text))] == ["ros1"] * is_chosen
+
+
 def test_installed_components_are_known_by_name() -> None:
     names = [each.name for each in importlib.metadata.entry_points(group=components.GROUP)]
-    assert {"gateway", "mdns", "mqtt", "recorder"} <= set(names)
+    assert {"gateway", "mdns", "mqtt", "recorder", "ros1"} <= set(names)
     assert all(find_component(name).name == name for name in names)

@@ -98,8 +98,9 @@ def test_end_of_the_node_is_reported_and_a_node_that_crashed_is_started_again(
 
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=False)
+        hub.on_end_request = reasons.append
         config = Ros1Config(master="http://master:11311/", host="10.0.0.1")
-        async with meanwhile(("ros1", supervise(hub, "ros1", lambda: Ros1(config, reasons.append)))):
+        async with meanwhile(("ros1", supervise(hub, "ros1", lambda: Ros1(config)))):
             await asyncio.sleep(0.5)
             assert len(reasons) == 1
             assert [found.code for found in hub.diagnoses.own.values()] == [code]
@@ -122,7 +123,9 @@ def test_end_of_the_daemon_reports_no_end_of_the_node(monkeypatch: pytest.Monkey
     reasons: list[str] = []
 
     async def run() -> None:
-        async with meanwhile(("ros1", supervise(Hub(Config(), CATALOG), "ros1", lambda: Ros1(CONFIG, reasons.append)))):
+        hub = Hub(Config(), CATALOG)
+        hub.on_end_request = reasons.append
+        async with meanwhile(("ros1", supervise(hub, "ros1", lambda: Ros1(CONFIG)))):
             await asyncio.sleep(1.0)
 
     run_virtual(run())
