@@ -52,7 +52,7 @@ class Board:
         self.has_watchdog = dice.random() < 0.5
         self._pose_s, self._count_s = dice.choice((0.05, 0.1)), dice.choice((0.05, 0.1, 0.25))
         self._reconnect_s = (0.1, 1.5)
-        self._infos = [
+        self.topics = [
             topic(EndpointKind.PUBLISHER, POSE_ID, f"/{self.name}/odometry", "geometry_msgs/Pose2D"),
             topic(EndpointKind.PUBLISHER, COUNT_ID, f"/{self.name}/count", "std_msgs/UInt32"),
             topic(EndpointKind.SUBSCRIBER, VELOCITY_ID, f"/{self.name}/velocity_commands", "geometry_msgs/Twist"),
@@ -133,7 +133,7 @@ class Board:
         match frame.topic_id:
             case Id.PUBLISHER:
                 self._send(encode(Id.TIME, bytes(8)))
-                self._send(b"".join(encode(info.kind, encode_topic_info(info)) for info in self._infos))
+                self._send(b"".join(encode(info.kind, encode_topic_info(info)) for info in self.topics))
                 self._is_configured, self._time_s = True, self._loop.world_s
             case Id.TIME:
                 self._time_s = self._loop.world_s

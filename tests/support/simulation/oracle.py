@@ -150,6 +150,7 @@ def zeros(history: History) -> list[tuple[float, str]]:
     broken = []
     for connection, written in history.written.items():
         end_s = history.end_of(connection)
+        written = sorted(written, key=lambda each: each[1].at_s)  # the guardian writes while the daemon hangs
         for place, (order, each) in enumerate(written):
             if not each.number or each.number not in history.commands:
                 continue
@@ -162,8 +163,9 @@ def zeros(history: History) -> list[tuple[float, str]]:
             until_s = min(next_s, end_s)
             allowed_s = due_s + history.tolerance_s(each.at_s, until_s) + PACED_S + history.opened[connection].held_s
             for pause in history.pauses:
-                if pause.began_s <= allowed_s < pause.at_s:
-                    allowed_s = min(pause.at_s, pause.began_s + HANG_S) + history.slack_s + BEAT_S
+                if pause.began_s <= allowed_s and due_s < pause.at_s:
+                    noticed_s = min(pause.at_s, pause.began_s + HANG_S)
+                    allowed_s = max(allowed_s, noticed_s + history.slack_s + BEAT_S)
             if until_s > allowed_s and not history.is_stuck(connection, each.at_s, until_s):
                 text = f"{each.robot} has no zero {min(until_s, 1e9) - due_s:.3f} s after {cause} ({each.number})"
                 broken.append((allowed_s, text))

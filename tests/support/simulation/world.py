@@ -223,11 +223,12 @@ class World:
         return self._entrance.accept is not None and all(map(self._has, self.boards))
 
     def _has(self, board: Board) -> bool:
-        """Whether the daemon has a board's robot on its newest connection."""
+        """Whether the daemon has a board's robot on its newest connection, with all of its topics."""
         if self.hub is None or board.connection is None:
             return False
         peers = [robot.link.peer for robot in self.hub.robots.here() if robot.name == board.name and robot.link]
-        return peers == [board.connection.host.peer]
+        topics = [len(link.session.topics) for link in self.hub.links.all() if [link.peer] == peers]
+        return peers == [board.connection.host.peer] and topics == [len(board.topics)]
 
     async def _ride_once_more(self) -> None:
         """A new program unlocks and drives each robot: refusing everything keeps no promise."""
