@@ -6,7 +6,7 @@ import re
 from array import array
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import NamedTuple, TypeVar
 
@@ -360,6 +360,7 @@ def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None
 _PLAYED_TYPE = "hostlink_msgs/PlayedRecording"  # of a topic that only a recording has which is played as a device
 
 LATE_S = 0.1  # what was on its way when the other device announced its topics
+ALIVE_S = 0.25  # a link that has died delivers what was on its way at once, after an outage also later
 AGAIN_S = 10.0  # two that count each other as dead, because their loops are slow, do so within a few seconds
 MOVING_S = 3.0  # by then a link that died has been ended for its silence
 
@@ -406,6 +407,14 @@ class _Entry:
     is_certain: bool = False
     replaced_at_s: float = -math.inf  # when it replaced another link
     lacks_command: bool = False  # its settings name topics that it lacks
+    heard_s: dict[int, float] = field(default_factory=dict)  # by rival: its first sign of life since
+
+    def is_alive(self, link: int, presence: Presence) -> bool:
+        """Whether a rival is alive: it has answered since the device announced its topics, or sends again and again."""
+        received_s = presence.received_at_s
+        if presence.answered_s >= self.since_s:
+            return True
+        return received_s > self.since_s + LATE_S and received_s >= self.heard_s.setdefault(link, received_s) + ALIVE_S
 
 
 class _Described(NamedTuple):
@@ -428,7 +437,8 @@ class Directory:
     | the old link                                                | then                                              |
     |-------------------------------------------------------------|---------------------------------------------------|
     | sends anything once the new one has announced its topics,   | two devices; a robot gets a name of its own       |
-    | or answers a request for its topics that was sent since     |                                                   |
+    | and again 0.25 s later; or answers a request for its topics |                                                   |
+    | that was sent since                                         |                                                   |
     | silent for 3 s: a live one requests the time every 2.5 s    | the same device: the new link replaces the old    |
     | silent for 0.5 s and for five of its usual gaps             | the same device                                   |
     | else                                                        | its topics are requested, the new one waits       |
@@ -676,7 +686,7 @@ class Directory:
         unclear = []
         for link in links:
             presence = self._presences[link]
-            if presence.received_at_s > entry.since_s + LATE_S or presence.answered_s >= entry.since_s:
+            if entry.is_alive(link, presence):
                 continue
             is_given_up = not has_twins and (
                 presence.is_probably_gone(now_s) or presence.is_without_answer(entry.since_s, now_s)

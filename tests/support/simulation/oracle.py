@@ -148,9 +148,9 @@ def leases(history: History) -> list[tuple[float, str]]:
 def zeros(history: History) -> list[tuple[float, str]]:
     """Each drive ends with a zero at a connected board: a lease after its last command, at once if its source left."""
     broken = []
-    for connection, written in history.written.items():
+    for connection, records in history.written.items():
         end_s = history.end_of(connection)
-        written = sorted(written, key=lambda each: each[1].at_s)  # the guardian writes while the daemon hangs
+        written = sorted(records, key=lambda each: each[1].at_s)  # the guardian writes while the daemon hangs
         for place, (order, each) in enumerate(written):
             if not each.number or each.number not in history.commands:
                 continue

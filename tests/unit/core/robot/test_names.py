@@ -256,10 +256,32 @@ def test_two_robots_that_talk_at_once_are_two() -> None:
     ours.talk(2, seconds=0.1)
     assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=())
     ours.talk(1, 2, seconds=0.2)
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=())
+    ours.talk(1, 2, seconds=0.3)
     claim = ours.claim(2, HOME, paper_robot())
     assert isinstance(claim, Accepted)
     assert claim.robot == dataclasses.replace(find_robot(paper_robot()), name="robot_0_2")
     assert (claim.own_name, claim.replaces, claim.is_numbered, claim.is_certain) == ("robot_0", None, True, False)
+
+
+@pytest.mark.parametrize("after_s", [0.2, 0.6, 1.5])
+def test_old_link_that_delivers_what_waited_in_an_outage_is_replaced(after_s: float) -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.talk(1)
+    outage_s = ours.now_s
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=(1,))
+    ours.now_s += after_s
+    for _ in range(20):
+        ours.now_s += 0.001
+        ours.directory.presence(1).note_read(ours.now_s)
+    found = ours.claim(2, HOME, paper_robot())
+    while found == Undecided(probe=()):
+        ours.now_s += 0.1
+        found = ours.claim(2, HOME, paper_robot())
+    assert isinstance(found, Accepted)
+    assert (found.robot, found.replaces) == (find_robot(paper_robot()), 1)
+    assert ours.now_s < outage_s + after_s + 1.0
 
 
 def test_device_that_seldom_sends_gets_a_request_and_stays_if_it_answers() -> None:
@@ -370,6 +392,8 @@ def test_a_sensor_beside_one_of_the_same_topics_is_another() -> None:
     ours.talk(1)
     assert ours.claim(2, HOME, SENSOR) == Undecided(probe=(1,))
     ours.talk(1, seconds=0.2)
+    assert ours.claim(2, HOME, SENSOR) == Undecided(probe=())
+    ours.talk(1, seconds=0.3)
     assert ours.claim(2, HOME, SENSOR) == Accepted(None, None)
 
 
