@@ -93,10 +93,10 @@ class LibraryMissing(ConfigError):
 class UnknownTopic(HostlinkError):
     """There is no topic, service or robot of that name."""
 
-    def __init__(self, what: str, name: str, known: Iterable[str] = ()) -> None:
-        """Build the text with some of the known names, because devices may announce any number of them."""
+    def __init__(self, what: str, name: str, known: Iterable[str] = (), *, why: str = "") -> None:
+        """Build the text with the reason, or with some of the known names: devices may announce any number of them."""
         self.what, self.name, self.known = what, name, tuple(itertools.islice(known, 64))
-        hint = f"; known: {', '.join(sorted(self.known)[:8])}" if self.known else ""
+        hint = f": {why}" if why else f"; known: {', '.join(sorted(self.known)[:8])}" if self.known else ""
         super().__init__(f"no {what} named {name}{hint}")
 
 

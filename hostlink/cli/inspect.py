@@ -62,7 +62,7 @@ def command(
     if json:
         write(msgspec.json.encode(view).decode())
     else:
-        write(*_lines(view))
+        write(*inspection_lines(view))
 
 
 # -- inspection -------------------------------------------------------------------------------------------------------
@@ -170,6 +170,9 @@ class Inspection:
             "time_requests": self._time_requests,
             "skipped_bytes": self._skipped_bytes,
             "connections": len(self._connections) + len(self._others),
+            "protocols": sorted(
+                {ROSSERIAL for _ in self._connections} | {each.protocol for each in self._others.values()}
+            ),
         }
 
     def _add_items(
@@ -308,12 +311,16 @@ def json_value(value: Any) -> Any:
 # -- text -------------------------------------------------------------------------------------------------------------
 
 
-def _lines(view: dict[str, Any]) -> list[str]:
+def inspection_lines(view: dict[str, Any]) -> list[str]:
+    """Return the lines of an inspection's view for people."""
     lines = [
-        f"connections {view['connections']}   time requests {view['time_requests']}   "
-        f"skipped bytes {view['skipped_bytes']}"
+        f"connections {view['connections']}   {', '.join(view['protocols']) or 'no protocol'}   "
+        f"time requests {view['time_requests']}   skipped bytes {view['skipped_bytes']}"
     ]
-    topics = [[topic["id"], topic["kind"], topic["name"], topic["type"]] for topic in view["topics"]]
+    ids: dict[tuple[str, str, str], list[str]] = {}  # a service has two: requests and responses
+    for topic in view["topics"]:
+        ids.setdefault((topic["kind"], topic["name"], topic["type"]), []).append(str(topic["id"]))
+    topics = [[", ".join(numbers), *topic] for topic, numbers in ids.items()]
     lines += fitted_table(["id", "kind", "topic", "type"], topics)
     for title, key in (("from device", "messages"), ("to device", "to_device")):
         series = view[key].items()

@@ -127,6 +127,7 @@ def _recorded(number: int, peer: str, connection: Replay) -> Report:
         "number": number,
         "peer": peer,
         "robot": None,
+        "protocol": connection.session.protocol,
         "topics": len(connection.session.topics),
         "names": sorted({info.name for info in connection.session.topics}),
         "seconds": round(seconds, 3),

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.cli.doctor import report_lines
 from hostlink.cli.inspect import Inspection
 from hostlink.cli.probe import probe_capture
 from hostlink.core.config import Config, MicroRosConfig, MicroRosTcpConfig, MicroRosUdpConfig, SerialConfig
@@ -167,13 +168,15 @@ async def test_capture_of_a_board_is_read_by_doctor_and_inspect(
     file.write_bytes(lines)
     assert (b'"event":"topics"' in lines) is is_beginning_lost
     (link,) = probe_capture(file, ())["links"]
-    assert link["topics"] == 3, link
+    assert (link["topics"], link["protocol"]) == (3, "micro-ROS"), link
+    assert "capture.jsonl micro-ROS  (" in report_lines({"findings": [], "links": [link]})[0]
     inspection = Inspection(Catalog())
     inspection.add_all(load_reads(file))
     view = inspection.view()
     assert {each["name"] for each in view["topics"]} == {"/cmd_vel", "/odom/unfiltered", "/imu/data"}
     assert view["messages"]["/odom/unfiltered"]["last"]["pose"]["pose"]["position"]["x"] == 0.5
     assert view["skipped_bytes"] == 0
+    assert view["protocols"] == ["micro-ROS"]
 
 
 def protocols_of_robots(host: Daemon) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.inspect import Inspection, json_value
+from hostlink.cli.inspect import Inspection, inspection_lines, json_value
 from hostlink.core.messages.catalog import Catalog
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.control import encode_topic_info
@@ -23,6 +23,24 @@ def test_unknown_type_is_shown_as_bytes() -> None:
     inspection = Inspection(Catalog())
     inspection.add_all([Read("device", (encode(0, info) + encode(125, b"\x01\x02")).hex())])
     assert inspection.view()["messages"] == {"/x": {"count": 1, "first": {"hex": "0102"}, "last": {"hex": "0102"}}}
+
+
+def test_service_is_shown_once_with_the_ids_of_requests_and_responses() -> None:
+    halves = {
+        EndpointKind.SERVICE_SERVER_PUBLISHER: topic(
+            EndpointKind.SERVICE_SERVER_PUBLISHER, 126, "/led", "std_srvs/SetBool"
+        ),
+        EndpointKind.SERVICE_SERVER_SUBSCRIBER: topic(
+            EndpointKind.SERVICE_SERVER_SUBSCRIBER, 101, "/led", "std_srvs/SetBool"
+        ),
+    }
+    inspection = Inspection(Catalog())
+    inspection.add_all([Read("device", encode(kind, encode_topic_info(half)).hex()) for kind, half in halves.items()])
+    lines = inspection_lines(inspection.view())
+    assert lines[0].startswith("connections 1   rosserial   time requests 0")
+    assert [line.split() for line in lines if "/led" in line] == [
+        ["126,", "101", "service_server", "/led", "std_srvs/SetBool"]
+    ]
 
 
 def test_one_id_in_both_directions_is_two_topics() -> None:

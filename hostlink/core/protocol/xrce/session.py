@@ -71,6 +71,7 @@ from hostlink.core.runtime.stop_frames import StopFrames
 from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 
 NAME: Final = "micro-ROS"
+UNANNOUNCED: Final = "its board has begun anew and has not announced it yet"
 CLIENTS_MAX: Final = 4  # behind one address; the id of an endpoint has two bits for them
 MTU_MIN: Final = 32  # less has no room for an answer
 QUIET_S: Final = 0.1  # a board creates its objects one after another, each within a round trip
@@ -626,9 +627,11 @@ class XrceSession(DeviceSession):
     ) -> tuple[DeviceEndpoint, XrceClient, bytes]:
         """Return the endpoint of a name, its client, and the payload for it."""
         endpoint = self._by_name.get((name, kind))
-        client = None if endpoint is None or self._object_of(endpoint) is None else self._client_of(endpoint)
-        if endpoint is None or client is None or not client.is_announced:  # it may have begun anew, at rest
+        if endpoint is None:
             raise UnknownTopic(what, name, tuple(each.name for each in self._known if each.kind is kind))
+        client = None if self._object_of(endpoint) is None else self._client_of(endpoint)
+        if client is None or not client.is_announced:  # it may have begun anew, at rest
+            raise UnknownTopic(what, name, why=UNANNOUNCED)
         if endpoint.key in self._refused:
             raise self._refused[endpoint.key].with_traceback(None)  # otherwise the traceback grows with each raise
         return endpoint, client, self._translated(endpoint, payload)

@@ -1023,7 +1023,9 @@ def test_board_that_has_begun_anew_gets_no_velocity_before_it_is_announced(key: 
     here.restart_board(here.client, idle())
     assert here.do(here.client.connect())
     here.do(creations(here.client))
-    with pytest.raises(UnknownTopic):
+    with pytest.raises(
+        UnknownTopic, match="no topic named /cmd_vel: its board has begun anew and has not announced it"
+    ):
         here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
     assert here.session.send_zero(velocity, ZERO)
     here.write()
