@@ -11,6 +11,10 @@ from typing import Any, Final, Self, TypeVar
 
 Kept = TypeVar("Kept", bound=BaseException)
 
+DEBIAN_PACKAGE: Final = Path("/usr/lib/hostlink")  # its virtual environment, which has no pip
+
+MAX_FIELD_NAME: Final = 64  # characters that are compared: a client may send any
+
 
 def system_text(error: OSError) -> str:
     """Return the system's text of an error, without the words that asyncio adds."""
@@ -51,9 +55,6 @@ class ConfigError(HostlinkError):
     def __init__(self, where: str, problem: str) -> None:
         super().__init__(f"{where}: {problem}")
         self.where, self.problem = where, problem
-
-
-DEBIAN_PACKAGE: Final = Path("/usr/lib/hostlink")  # its virtual environment, which has no pip
 
 
 def requirements_of(extra: str) -> list[str]:
@@ -160,9 +161,6 @@ def nearest_field(name: str, known: Iterable[str]) -> str:
     fields = list(known)
     near = get_close_matches(name[:MAX_FIELD_NAME], fields, n=1)
     return f"; did you mean `{near[0]}`?" if near else f"; its fields: {', '.join(fields) or 'none'}"
-
-
-MAX_FIELD_NAME: Final = 64  # characters that are compared: a client may send any
 
 
 class BadRequest(HostlinkError):

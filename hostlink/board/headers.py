@@ -20,6 +20,29 @@ _FLOAT32_LARGEST: Final = (2 - 2**-23) * 2.0**127
 _FLOAT32_LEAST: Final = 2.0**-126
 _PLAIN: Final = frozenset(range(0x20, 0x7F)) - frozenset(b'"\\?')  # "??=" is a trigraph
 
+METHODS: Final = ("serialize", "deserialize", "getType", "getMD5", "getSize")  # methods of each message class
+
+CPP_TYPES: Final = {
+    "bool": "bool",
+    "byte": "int8_t",
+    "char": "uint8_t",
+    "int8": "int8_t",
+    "uint8": "uint8_t",
+    "int16": "int16_t",
+    "uint16": "uint16_t",
+    "int32": "int32_t",
+    "uint32": "uint32_t",
+    "int64": "int64_t",
+    "uint64": "uint64_t",
+    "float32": "float",
+    "float64": "double",
+    "time": "::ros::Time",
+    "duration": "::ros::Duration",
+    "string": "const char*",
+}
+
+SIZE_MAX: Final = 65535  # bytes of a payload
+
 
 def literal(constant: Constant) -> str:
     """Write the value as a C++ literal."""
@@ -104,7 +127,6 @@ _GLOBALS: Final = """
     scanf select send setup shutdown signal sin sleep socket sqrt square stat stderr stdin stdout swab sync system tan
     time tone trunc truncate wait word write y0 y1 yield
 """
-METHODS: Final = ("serialize", "deserialize", "getType", "getMD5", "getSize")  # methods of each message class
 
 
 @cache
@@ -154,27 +176,8 @@ def class_name(full_name: str) -> str:
 
 # -- headers ----------------------------------------------------------------------------------------------------------
 
-CPP_TYPES: Final = {
-    "bool": "bool",
-    "byte": "int8_t",
-    "char": "uint8_t",
-    "int8": "int8_t",
-    "uint8": "uint8_t",
-    "int16": "int16_t",
-    "uint16": "uint16_t",
-    "int32": "int32_t",
-    "uint32": "uint32_t",
-    "int64": "int64_t",
-    "uint64": "uint64_t",
-    "float32": "float",
-    "float64": "double",
-    "time": "::ros::Time",
-    "duration": "::ros::Duration",
-    "string": "const char*",
-}
 _INITIAL: Final = {**dict.fromkeys(FORMATS, " = 0"), "bool": " = false", "string": ' = ""'}
 _ARRAYS: Final = {"string": "::ros::Texts", "float64": "::ros::Doubles"}  # types that a sketch may have in two forms
-SIZE_MAX: Final = 65535  # bytes of a payload
 _STATIC: Final = re.compile(r"  static constexpr (.+?) (\w+) =")
 
 

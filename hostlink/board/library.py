@@ -23,6 +23,15 @@ TIME: Final = (1980, 1, 1, 0, 0, 0)  # the earliest time of a ZIP
 _PLAIN_FILE: Final = 0o100644 << 16
 _UNIX: Final = 3
 
+RESERVED_PACKAGES: Final = frozenset({"ros", "std", "hostlink"})  # C++ namespaces of others, and of the library
+
+T = TypeVar("T", MessageType, ServiceType)
+
+NAME: Final = "hostlink_rosserial"  # also its folder in the ZIP
+CHECKOUT: Final = Path(__file__).parents[2] / "firmware" / "rosserial"  # used when hostlink runs from its sources
+PARTS: Final = ("src", "examples")
+SUFFIXES: Final = (".h", ".cpp", ".ino", ".md")
+
 
 def pack(files: Mapping[str, bytes]) -> bytes:
     """Pack files, by their paths in the ZIP. The bytes depend only on the files."""
@@ -37,10 +46,6 @@ def pack(files: Mapping[str, bytes]) -> bytes:
 
 
 # -- selection --------------------------------------------------------------------------------------------------------
-
-RESERVED_PACKAGES: Final = frozenset({"ros", "std", "hostlink"})  # C++ namespaces of others, and of the library
-
-T = TypeVar("T", MessageType, ServiceType)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,10 +134,6 @@ def _sorted(types: dict[str, T]) -> tuple[T, ...]:
 
 # -- library ----------------------------------------------------------------------------------------------------------
 
-NAME: Final = "hostlink_rosserial"  # also its folder in the ZIP
-CHECKOUT: Final = Path(__file__).parents[2] / "firmware" / "rosserial"  # used when hostlink runs from its sources
-PARTS: Final = ("src", "examples")
-SUFFIXES: Final = (".h", ".cpp", ".ino", ".md")
 _INCLUDED: Final = re.compile(rb'^\s*#\s*include\s*[<"]([A-Za-z]\w*/[A-Za-z]\w*)\.h[>"]', re.MULTILINE)
 _SENTENCE: Final = "rosserial for any board: topics, services, parameters and time, with hostlink or ROS as the host."
 

@@ -26,6 +26,10 @@ _ERRORS: Final = {
     "stored": "the value could not be stored; check that the sketch's EEPROM is large enough",
 }
 
+MARK: Final = b"#hl "
+LINE_BYTES_MAX: Final = 256
+PORTS: Final = range(1, 65536)
+
 
 class BoardSettings:
     """Settings of the board on one port."""
@@ -133,9 +137,6 @@ def _is_complete(answers: list[str]) -> bool:
 
 # -- settings ---------------------------------------------------------------------------------------------------------
 
-MARK: Final = b"#hl "
-LINE_BYTES_MAX: Final = 256
-PORTS: Final = range(1, 65536)
 _ANSWER: Final = re.compile(rb"#hl (\d{1,5}) ([ -~]*) ([0-9A-F]{8})")
 _NAME: Final = re.compile(rb"(?!.*//)[A-Za-z][A-Za-z0-9_/]*(?<!/)")
 _NAME_RULE: Final = "a letter, then letters, digits, _ and single /"

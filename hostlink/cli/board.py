@@ -25,6 +25,9 @@ from hostlink.core.runtime.text_file import read_text
 from hostlink.core.transport.serial import open_serial
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, size
 
+USUAL_PORT = 11411  # of the library, if the board has no setting
+CLEAR = "-"  # the answer that clears a setting
+
 # -- arduino library --------------------------------------------------------------------------------------------------
 
 
@@ -110,8 +113,6 @@ def _report(output: Path, selection: TypeSelection, size_bytes: int, *, as_json:
 
 # -- settings of a board ----------------------------------------------------------------------------------------------
 
-USUAL_PORT = 11411  # of the library, if the board has no setting
-CLEAR = "-"  # the answer that clears a setting
 
 Port = Annotated[str, typer.Argument(help="Serial port of the board, for example /dev/ttyUSB0.")]
 Baud = Annotated[int, typer.Option(help="Baud rate, as in the sketch's Serial.begin().", min=300)]

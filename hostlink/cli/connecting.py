@@ -16,6 +16,10 @@ from hostlink.client import Host, connect
 
 Answer = TypeVar("Answer")
 
+PATIENCE_S = 2.0
+INTERVAL_S = 1.0
+CHECKED_ITEMS = 256  # between two readings of the clock
+
 # -- connecting -------------------------------------------------------------------------------------------------------
 
 
@@ -60,9 +64,6 @@ async def rosapi(host: Host, service: str, field: str, /, **request: str) -> Any
 
 # -- waiting ----------------------------------------------------------------------------------------------------------
 
-PATIENCE_S = 2.0
-INTERVAL_S = 1.0
-CHECKED_ITEMS = 256  # between two readings of the clock
 
 Show = Callable[[str], None]
 

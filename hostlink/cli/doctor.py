@@ -27,6 +27,8 @@ RECENT_END_S = 60.0
 YOUNG_S = 10.0  # a younger link may not have shown its fault yet, but the link before it has
 MAX_NAMES = 6  # of topics in a line
 
+LISTEN = "0.0.0.0:11411"
+
 
 def report_of(view: dict[str, Any], source: str, robots: Sequence[Any] = ()) -> Report:
     """Return the live links of a daemon, and the recently ended ones that explain more."""
@@ -126,8 +128,6 @@ def _rates_line(link: Report) -> str:
 
 
 # -- doctor -----------------------------------------------------------------------------------------------------------
-
-LISTEN = "0.0.0.0:11411"
 
 
 def command(

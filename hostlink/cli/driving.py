@@ -14,6 +14,46 @@ SHIFT, CONTROL = 1, 4  # bits of the modifiers of the kitty keyboard protocol, l
 _SEQUENCE = re.compile(rb"\x1b\[(\??)([\d;:]*)([A-Za-z~])")
 _UNFINISHED = re.compile(rb"\x1b(\[[\d;:?]*)?$")
 
+GRACE_S = 0.6  # from the first press of a key to its first repeat: half a second on usual systems
+HOLD_S = 0.2  # between repeats: a little more than three periods
+STEP = 1.1  # a speed key changes by a tenth
+SEND_INTERVAL_S = 0.1
+ZEROS = 3  # one may be lost on a radio link
+
+Direction = tuple[int, int]  # forward, counter-clockwise
+Velocity = tuple[float, float, float]  # m/s forward, rad/s counter-clockwise, m/s to the left
+STANDING: Velocity = (0.0, 0.0, 0.0)
+
+_ORIGINAL: dict[str, Direction] = {
+    "w": (1, 0), "e": (1, -1),
+    "a": (0, 1), "d": (0, -1),
+    "z": (-1, -1), "x": (-1, 0), "c": (-1, 1),
+}  # fmt: skip
+_FIELD: dict[str, Direction] = {
+    "u": (1, 1), "i": (1, 0), "o": (1, -1),
+    "j": (0, 1), "l": (0, -1),
+    "m": (-1, -1), ",": (-1, 0), ".": (-1, 1),
+    "up": (1, 0), "down": (-1, 0), "left": (0, 1), "right": (0, -1),
+}  # fmt: skip
+_ORIGINAL_SPEEDS: dict[str, tuple[float, float]] = {
+    "t": (STEP, STEP), "b": (1 / STEP, 1 / STEP),
+    "y": (STEP, 1), "n": (1 / STEP, 1),
+    "u": (1, STEP), "m": (1, 1 / STEP),
+}  # fmt: skip
+_FIELD_SPEEDS: dict[str, tuple[float, float]] = {
+    "q": (STEP, STEP), "z": (1 / STEP, 1 / STEP),
+    "w": (STEP, 1), "x": (1 / STEP, 1),
+    "e": (1, STEP), "c": (1, 1 / STEP),
+}  # fmt: skip
+
+LAYOUTS: dict[str, tuple[dict[str, Direction], dict[str, tuple[float, float]]]] = {
+    # u and m change the turning speed, as in the original; the other keys of the field drive, and q ends the command.
+    "original": ({**_FIELD, **_ORIGINAL}, _ORIGINAL_SPEEDS),
+    "twist": (_FIELD, _FIELD_SPEEDS),
+}
+
+CONFIRM_S = 4.0  # as on the page
+
 
 class Action(Enum):
     """Event of a key."""
@@ -86,45 +126,11 @@ def _from_sequence(question: str, numbers: str, final: str) -> Key | None:
 
 # -- velocity ---------------------------------------------------------------------------------------------------------
 
-GRACE_S = 0.6  # from the first press of a key to its first repeat: half a second on usual systems
-HOLD_S = 0.2  # between repeats: a little more than three periods
-STEP = 1.1  # a speed key changes by a tenth
-SEND_INTERVAL_S = 0.1
-ZEROS = 3  # one may be lost on a radio link
 
-Direction = tuple[int, int]  # forward, counter-clockwise
-Velocity = tuple[float, float, float]  # m/s forward, rad/s counter-clockwise, m/s to the left
-STANDING: Velocity = (0.0, 0.0, 0.0)
 _SHIFTED = {"<": ",", ">": "."}  # keys of the field with shift, as teleop_twist_keyboard has them
 
-_ORIGINAL: dict[str, Direction] = {
-    "w": (1, 0), "e": (1, -1),
-    "a": (0, 1), "d": (0, -1),
-    "z": (-1, -1), "x": (-1, 0), "c": (-1, 1),
-}  # fmt: skip
-_FIELD: dict[str, Direction] = {
-    "u": (1, 1), "i": (1, 0), "o": (1, -1),
-    "j": (0, 1), "l": (0, -1),
-    "m": (-1, -1), ",": (-1, 0), ".": (-1, 1),
-    "up": (1, 0), "down": (-1, 0), "left": (0, 1), "right": (0, -1),
-}  # fmt: skip
-_ORIGINAL_SPEEDS: dict[str, tuple[float, float]] = {
-    "t": (STEP, STEP), "b": (1 / STEP, 1 / STEP),
-    "y": (STEP, 1), "n": (1 / STEP, 1),
-    "u": (1, STEP), "m": (1, 1 / STEP),
-}  # fmt: skip
-_FIELD_SPEEDS: dict[str, tuple[float, float]] = {
-    "q": (STEP, STEP), "z": (1 / STEP, 1 / STEP),
-    "w": (STEP, 1), "x": (1 / STEP, 1),
-    "e": (1, STEP), "c": (1, 1 / STEP),
-}  # fmt: skip
 
 Layout = Literal["original", "twist"]
-LAYOUTS: dict[str, tuple[dict[str, Direction], dict[str, tuple[float, float]]]] = {
-    # u and m change the turning speed, as in the original; the other keys of the field drive, and q ends the command.
-    "original": ({**_FIELD, **_ORIGINAL}, _ORIGINAL_SPEEDS),
-    "twist": (_FIELD, _FIELD_SPEEDS),
-}
 
 
 class Driving:
@@ -232,8 +238,6 @@ class Driving:
 
 
 # -- confirmation -----------------------------------------------------------------------------------------------------
-
-CONFIRM_S = 4.0  # as on the page
 
 
 class Confirmation:

@@ -16,6 +16,8 @@ DEVICE_COLUMNS = ("battery", "dBm", "errors", "firmware")  # more columns of a r
 USUAL_PROTOCOL = "rosserial"
 _DEGREES = 57.29577951308232
 
+EARLY_S = 0.05  # events arrive each tenth of a second: one that is half of that too early is in time
+
 
 class Snapshot(NamedTuple):
     """The daemon's links and robots at one moment."""
@@ -193,8 +195,6 @@ def finding_lines(found: dict[str, str], about: str = "") -> list[str]:
 
 
 # -- figures of the daemon's events -----------------------------------------------------------------------------------
-
-EARLY_S = 0.05  # events arrive each tenth of a second: one that is half of that too early is in time
 
 
 async def live_figures(host: Host, interval_s: float) -> AsyncIterator[dict[str, Any]]:

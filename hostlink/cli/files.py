@@ -20,6 +20,8 @@ MessageFolders = Annotated[
     list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
 ]
 
+PICTURES = (".pdf", ".png", ".svg")
+
 # -- fetching ---------------------------------------------------------------------------------------------------------
 
 
@@ -76,9 +78,6 @@ def writing(file: Path, advice: str) -> Iterator[None]:
 
 
 # -- new file ---------------------------------------------------------------------------------------------------------
-
-
-PICTURES = (".pdf", ".png", ".svg")
 
 
 def check_picture(option: str, file: Path, *, needs: str, extra: str, suffixes: Sequence[str] = PICTURES) -> None:

@@ -19,6 +19,10 @@ from hostlink.cli.output import duration, quantity, show_progress, write, write_
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, size
 
+COLUMNS = ("client", "kind", "peer", "role", "for s", "from", "to", "bytes to", "waiting", "lag", "dropped", "program")
+
+POLL_S = 0.5  # a serial line needs longer for the 64 KiB that the daemon keeps
+
 # -- links ------------------------------------------------------------------------------------------------------------
 
 
@@ -67,8 +71,6 @@ def _ended_rows(view: dict[str, Any]) -> list[list[str]]:
 
 # -- clients ----------------------------------------------------------------------------------------------------------
 
-COLUMNS = ("client", "kind", "peer", "role", "for s", "from", "to", "bytes to", "waiting", "lag", "dropped", "program")
-
 
 def clients(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List the programs that are connected: name and role, traffic, and what was dropped because they are too slow."""
@@ -100,7 +102,6 @@ def _row(client: dict[str, Any]) -> list[str]:
 
 # -- capture ----------------------------------------------------------------------------------------------------------
 
-POLL_S = 0.5  # a serial line needs longer for the 64 KiB that the daemon keeps
 _START = "0-0"  # position from which all kept bytes are fetched
 
 

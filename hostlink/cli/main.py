@@ -181,6 +181,100 @@ SURPLUS = {  # commands that take fewer arguments than those of ROS or than peop
     **dict.fromkeys(("hz", "bw", "delay"), "one topic is measured at a time; run the command once for each topic"),
 }
 
+FIRST_DAY = """\
+hostlink is the host for rosserial robots. The ten commands of the first day:
+
+  hostlink demo            run the daemon with a simulated robot
+  hostlink serve           run the daemon: boards on TCP port 11411 and on USB,
+                           programs and the page on http://127.0.0.1:9090
+  hostlink doctor          find what is wrong with a board, and what to do next
+  hostlink robots          list the robots: who drives them, where they are
+  hostlink teleop ROBOT    drive a robot with the keyboard
+  hostlink stop            stop every robot now
+  hostlink lock            emergency stop, until `hostlink unlock`
+  hostlink topics          list the topics
+  hostlink echo TOPIC      print the messages of a topic
+  hostlink record          record everything until Ctrl-C
+
+Commands of ROS work too: `hostlink rostopic list`, `hostlink ros2 bag record`.
+
+  hostlink --help          list all commands
+  hostlink COMMAND --help  show the options of a command
+"""
+
+PANELS = {
+    "The daemon": {
+        "serve": "Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090.",
+        "demo": "Run the daemon with a simulated robot.",
+        "sim": "Run simulated robots that connect to a host.",
+        "ros1": "Run the daemon as a node of ROS 1, started as rosserial_python is.",
+        "ros2": "Show the robots in ROS 2, and let ROS 2 drive them.",
+        "setup": "Ask ten questions and write a configuration file.",
+        "reload": "Let the daemon read its configuration again.",
+    },
+    "Robots": {
+        "robots": "List the robots.",
+        "teleop": "Drive a robot with the keyboard.",
+        "move": "Move a robot along a line, and stop it.",
+        "turn": "Turn a robot on the spot, and stop it.",
+        "stop": "Stop a robot, or all of them, now.",
+        "lock": "Emergency stop: no robot moves until it is unlocked.",
+        "unlock": "Let a robot be driven again.",
+        "calibrate": "Find a robot's wheel radii and separation with a tape measure.",
+        "step": "Drive a step of speed and show how the robot follows; tune its PID.",
+        "lab": "Repeat the paper's measurements in a simulated world.",
+    },
+    "Topics, services, parameters": {
+        "topics": "List the topics.",
+        "nodes": "List the nodes: devices and programs.",
+        "info": "Show publishers and subscribers of a topic or a node, or the content of a recording.",
+        "type": "Show the type of a topic or a service.",
+        "find": "List the topics and services of a type.",
+        "echo": "Print the messages of a topic.",
+        "hz": "Measure the rate of a topic.",
+        "bw": "Measure the bandwidth of a topic.",
+        "delay": "Measure the age of a topic's messages when they arrive.",
+        "pub": "Publish messages on a topic.",
+        "services": "List the services.",
+        "call": "Call a service.",
+        "params": "List, get, set, dump and load the parameters of the devices.",
+    },
+    "Recordings": {
+        "record": "Record robots into an MCAP file; repair an unfinished one.",
+        "play": "Play a recording: as robots, as a program, or to drive a robot.",
+        "plot": "Draw fields or paths of a recording as a picture.",
+        "export": "Write a recording as CSV, or as a bag of ROS.",
+        "drives": "List who drove which robot and when.",
+        "incidents": "List incidents of robots, and fetch the recording of each.",
+    },
+    "Boards": {
+        "arduino-library": "Write the rosserial library for boards, with headers of all messages, as a ZIP.",
+        "board": "Read and set the settings that a board stores: host, name, WiFi and keys.",
+    },
+    "Diagnosis": {
+        "doctor": "Find what is wrong with the devices, and what to do next.",
+        "top": "Watch links and robots, live.",
+        "links": "List the connections of devices.",
+        "clients": "List the programs that are connected.",
+        "capture": "Save the raw bytes of a link.",
+        "inspect": "Decode a capture of a link.",
+    },
+}
+MODULES = {  # modules whose name is not that of the command
+    "serve": "serve_command",
+    **dict.fromkeys(
+        ("nodes", "info", "type", "find", "echo", "hz", "bw", "delay", "pub", "services", "call"), "topics"
+    ),
+    **dict.fromkeys(("drives", "incidents"), "record"),
+    "plot": "export",
+    **dict.fromkeys(("stop", "lock", "unlock"), "robots"),
+    **dict.fromkeys(("move", "turn"), "motion"),
+    "reload": "setup",
+    "arduino-library": "board",
+    **dict.fromkeys(("clients", "capture"), "links"),
+}
+COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
+
 
 def translated(words: Sequence[str]) -> list[str]:
     """Return the command line in the words of hostlink. Its own words stay as they are.
@@ -267,102 +361,9 @@ def _negative_last(words: Sequence[str]) -> list[str]:
 
 # -- first screen -----------------------------------------------------------------------------------------------------
 
-FIRST_DAY = """\
-hostlink is the host for rosserial robots. The ten commands of the first day:
-
-  hostlink demo            run the daemon with a simulated robot
-  hostlink serve           run the daemon: boards on TCP port 11411 and on USB,
-                           programs and the page on http://127.0.0.1:9090
-  hostlink doctor          find what is wrong with a board, and what to do next
-  hostlink robots          list the robots: who drives them, where they are
-  hostlink teleop ROBOT    drive a robot with the keyboard
-  hostlink stop            stop every robot now
-  hostlink lock            emergency stop, until `hostlink unlock`
-  hostlink topics          list the topics
-  hostlink echo TOPIC      print the messages of a topic
-  hostlink record          record everything until Ctrl-C
-
-Commands of ROS work too: `hostlink rostopic list`, `hostlink ros2 bag record`.
-
-  hostlink --help          list all commands
-  hostlink COMMAND --help  show the options of a command
-"""
-
 
 # -- command line -----------------------------------------------------------------------------------------------------
 
-PANELS = {
-    "The daemon": {
-        "serve": "Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090.",
-        "demo": "Run the daemon with a simulated robot.",
-        "sim": "Run simulated robots that connect to a host.",
-        "ros1": "Run the daemon as a node of ROS 1, started as rosserial_python is.",
-        "ros2": "Show the robots in ROS 2, and let ROS 2 drive them.",
-        "setup": "Ask ten questions and write a configuration file.",
-        "reload": "Let the daemon read its configuration again.",
-    },
-    "Robots": {
-        "robots": "List the robots.",
-        "teleop": "Drive a robot with the keyboard.",
-        "move": "Move a robot along a line, and stop it.",
-        "turn": "Turn a robot on the spot, and stop it.",
-        "stop": "Stop a robot, or all of them, now.",
-        "lock": "Emergency stop: no robot moves until it is unlocked.",
-        "unlock": "Let a robot be driven again.",
-        "calibrate": "Find a robot's wheel radii and separation with a tape measure.",
-        "step": "Drive a step of speed and show how the robot follows; tune its PID.",
-        "lab": "Repeat the paper's measurements in a simulated world.",
-    },
-    "Topics, services, parameters": {
-        "topics": "List the topics.",
-        "nodes": "List the nodes: devices and programs.",
-        "info": "Show publishers and subscribers of a topic or a node, or the content of a recording.",
-        "type": "Show the type of a topic or a service.",
-        "find": "List the topics and services of a type.",
-        "echo": "Print the messages of a topic.",
-        "hz": "Measure the rate of a topic.",
-        "bw": "Measure the bandwidth of a topic.",
-        "delay": "Measure the age of a topic's messages when they arrive.",
-        "pub": "Publish messages on a topic.",
-        "services": "List the services.",
-        "call": "Call a service.",
-        "params": "List, get, set, dump and load the parameters of the devices.",
-    },
-    "Recordings": {
-        "record": "Record robots into an MCAP file; repair an unfinished one.",
-        "play": "Play a recording: as robots, as a program, or to drive a robot.",
-        "plot": "Draw fields or paths of a recording as a picture.",
-        "export": "Write a recording as CSV, or as a bag of ROS.",
-        "drives": "List who drove which robot and when.",
-        "incidents": "List incidents of robots, and fetch the recording of each.",
-    },
-    "Boards": {
-        "arduino-library": "Write the rosserial library for boards, with headers of all messages, as a ZIP.",
-        "board": "Read and set the settings that a board stores: host, name, WiFi and keys.",
-    },
-    "Diagnosis": {
-        "doctor": "Find what is wrong with the devices, and what to do next.",
-        "top": "Watch links and robots, live.",
-        "links": "List the connections of devices.",
-        "clients": "List the programs that are connected.",
-        "capture": "Save the raw bytes of a link.",
-        "inspect": "Decode a capture of a link.",
-    },
-}
-MODULES = {  # modules whose name is not that of the command
-    "serve": "serve_command",
-    **dict.fromkeys(
-        ("nodes", "info", "type", "find", "echo", "hz", "bw", "delay", "pub", "services", "call"), "topics"
-    ),
-    **dict.fromkeys(("drives", "incidents"), "record"),
-    "plot": "export",
-    **dict.fromkeys(("stop", "lock", "unlock"), "robots"),
-    **dict.fromkeys(("move", "turn"), "motion"),
-    "reload": "setup",
-    "arduino-library": "board",
-    **dict.fromkeys(("clients", "capture"), "links"),
-}
-COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
 FAILED, MISUSED, INTERRUPTED = 1, 2, 128 + 2
 UsageError: Any = typer.BadParameter.__base__  # click's class, which newer versions of typer contain
 

@@ -15,6 +15,8 @@ _CLEAR_LINE = "\r\x1b[2K"
 _AS_JSON = "hostlink.json"  # error handler for characters that the terminal's encoding does not have
 _has_progress = False  # standard error ends in a line of `show_progress`
 
+LEAST = 12  # characters of a cell that was shortened
+
 
 def allow_any_text() -> None:
     """Escape characters as in JSON that the encoding of the terminal or pipe does not have, instead of failing."""
@@ -119,7 +121,6 @@ def _write(stream: TextIO, text: str) -> None:
         raise
 
 
-LEAST = 12  # characters of a cell that was shortened
 _GAP = 2
 _INDENT = 4  # of a row's second line
 

@@ -34,6 +34,10 @@ from hostlink.core.transport.port_users import PROC, find_user
 _LISTENS = "0A"
 _SOCKET = re.compile(r"socket:\[(\d+)\]")
 
+COMMON_BAUDS = (57600, 115200, 38400, 9600, 250000, 500000, 1000000, 230400, 19200)  # rosserial's default first
+BAUD_TRY_S = 4.5  # a device answers in 2 s, and a board that is reset when the port opens boots in 2 s
+SETTLE_S = 9.0  # after the topics, for three time requests
+
 
 def user_of_port(port: int) -> str:
     """Return the process that listens on a TCP port: "rosserial_python (pid 1234)"; empty if unknown."""
@@ -54,9 +58,6 @@ def _listening_sockets(port: int) -> Iterator[str]:
 
 Show = Callable[[str], None]
 
-COMMON_BAUDS = (57600, 115200, 38400, 9600, 250000, 500000, 1000000, 230400, 19200)  # rosserial's default first
-BAUD_TRY_S = 4.5  # a device answers in 2 s, and a board that is reset when the port opens boots in 2 s
-SETTLE_S = 9.0  # after the topics, for three time requests
 _POLL_S = 1.0
 _ANY = ("0.0.0.0", "::")  # noqa: S104 - compared only
 _LOOPBACK = TcpConfig(host="127.0.0.1", port=0)

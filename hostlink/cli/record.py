@@ -31,6 +31,10 @@ BAGS = (".bag", ".db3")  # names of files of ROS
 _PATH = "/api/recordings"
 _CAUSES = {"lease": "silent"}  # as a user reads it; programs read the other one
 
+NEWEST = 20  # entries of a list that a person reads
+
+HEADS = ["s", "robot", "who", "top m/s", "rad/s", "why it ended"]
+
 
 def record(
     topics: Annotated[
@@ -223,7 +227,6 @@ def _repair(file: Path, *, as_json: bool) -> None:
 
 # -- lists ------------------------------------------------------------------------------------------------------------
 
-NEWEST = 20  # entries of a list that a person reads
 
 Count = Annotated[
     int | None,
@@ -242,8 +245,6 @@ def write_newest(
 
 
 # -- drives -----------------------------------------------------------------------------------------------------------
-
-HEADS = ["s", "robot", "who", "top m/s", "rad/s", "why it ended"]
 
 
 def drives(

@@ -61,6 +61,8 @@ Origins = Annotated[
     ),
 ]
 
+EXAMPLES = {"config": "hostlink.toml", "systemd": "hostlink.service", "udev": "70-hostlink.rules"}
+
 
 def command(
     *,
@@ -302,8 +304,6 @@ def _listed(event: Mapping[str, object], start: str, key: str) -> str:
 
 
 # -- examples ---------------------------------------------------------------------------------------------------------
-
-EXAMPLES = {"config": "hostlink.toml", "systemd": "hostlink.service", "udev": "70-hostlink.rules"}
 
 
 def read_example(name: str) -> str:

@@ -31,6 +31,13 @@ REACHES = ("computer", "network")
 MAX_BAUD = 4_000_000
 LEAST_NUMBER = 0.01  # m, m/s, m/s2
 
+PLACES = (
+    "serial/by-id/*",
+    "ttyACM*",
+    "ttyUSB*",
+)  # names in the first one do not change when a port is plugged in again
+OWNER_ONLY = 0o600  # the file contains a token
+
 
 @dataclass(frozen=True, slots=True)
 class Question:
@@ -208,13 +215,6 @@ def _toml(text: str) -> str:
 
 
 # -- setup ------------------------------------------------------------------------------------------------------------
-
-PLACES = (
-    "serial/by-id/*",
-    "ttyACM*",
-    "ttyUSB*",
-)  # names in the first one do not change when a port is plugged in again
-OWNER_ONLY = 0o600  # the file contains a token
 
 
 def setup(

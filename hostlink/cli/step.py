@@ -34,6 +34,28 @@ from hostlink.workbench.step_response import FULL_PWM, Record, Sample, StepFigur
 FIRST_SHARE, LEVELS = 0.4, 6  # share of the speed at the first level; the last level has the whole speed
 FIRST_LEVEL_S, LEVEL_S = 2.4, 1.2  # the first level begins with a stopped robot
 
+TICK_S = 0.02
+COMMAND_INTERVAL_S = 0.1  # a fifth of the lease
+LONGEST_PAUSE_S = 0.4  # of this program; after the lease, 0.5 s, the robot has stopped
+CREEP_M_S = 0.01  # a zero does not take a robot over from another driver
+STANDING_S = 0.5
+STOP_INTERVAL_S = 1.0
+STANDING_TIMEOUT_S = 5.0
+
+FIRST_MESSAGE_S = 2.0
+SILENCE_S = 0.9  # without measurements the robot would drive blind
+SEPARATION_M = 0.210  # docs/paper-robot.md#numbers
+
+ODOMETRY_TYPE = "nav_msgs/Odometry"
+
+DIGITS = 4
+
+PAPER_GAINS = {"left": PidGains(23.0, 36.0, 0.1), "right": PidGains(24.0, 35.0, 0.1)}  # docs/paper-robot.md#numbers
+GAINS = 3
+RULE = "SIMC: S. Skogestad, J. Process Control 13 (2003) 291-309, tau_c = dead time"
+
+STEP_S = 6.0
+
 
 class Wheel(StrEnum):
     """Wheel that turns while the other one is stopped."""
@@ -88,20 +110,9 @@ def describe_way(robot: str, stages: Sequence[Stage], wheel: Wheel | None, separ
 
 # -- step recorder ----------------------------------------------------------------------------------------------------
 
-TICK_S = 0.02
-COMMAND_INTERVAL_S = 0.1  # a fifth of the lease
-LONGEST_PAUSE_S = 0.4  # of this program; after the lease, 0.5 s, the robot has stopped
-CREEP_M_S = 0.01  # a zero does not take a robot over from another driver
-STANDING_S = 0.5
-STOP_INTERVAL_S = 1.0
-STANDING_TIMEOUT_S = 5.0
 STANDING_TICKS_S, STANDING_M_S = 1.5, 0.005
-FIRST_MESSAGE_S = 2.0
-SILENCE_S = 0.9  # without measurements the robot would drive blind
-SEPARATION_M = 0.210  # docs/paper-robot.md#numbers
 LEAST_SEPARATION_M, MOST_SEPARATION_M = 0.02, 5.0  # limits of hostlink's firmware
 PLOT_TYPE, GAINS_TYPE = "geometry_msgs/Twist", "geometry_msgs/Vector3"
-ODOMETRY_TYPE = "nav_msgs/Odometry"
 
 Samples = Mapping[str, Sample]  # by wheel; "robot" if only the robot's speed is known
 Reader = Callable[[Mapping[str, Any], Stage], Samples]
@@ -358,8 +369,6 @@ def draw_picture(path: Path, title: str, records: Mapping[str, Record]) -> None:
 
 # -- step report ------------------------------------------------------------------------------------------------------
 
-DIGITS = 4
-
 
 def step_lines(figures: Mapping[str, StepFigures], units: Mapping[str, str]) -> list[str]:
     """Table of the figures, with a column for each wheel."""
@@ -428,10 +437,6 @@ def _percent(value: float | None) -> str:
 
 
 # -- step tuning ------------------------------------------------------------------------------------------------------
-
-PAPER_GAINS = {"left": PidGains(23.0, 36.0, 0.1), "right": PidGains(24.0, 35.0, 0.1)}  # docs/paper-robot.md#numbers
-GAINS = 3
-RULE = "SIMC: S. Skogestad, J. Process Control 13 (2003) 291-309, tau_c = dead time"
 
 
 @dataclass(frozen=True, slots=True)
@@ -538,7 +543,6 @@ def _origin(wheel: TunedWheel) -> str:
 
 # -- step -------------------------------------------------------------------------------------------------------------
 
-STEP_S = 6.0
 LEAST_SPEED_M_S, MOST_SPEED_M_S = 0.02, 2.0
 
 

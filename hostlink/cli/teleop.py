@@ -33,6 +33,15 @@ from hostlink.errors import ConfigError, HostlinkError, RefusalKind, UnknownTopi
 _HIDE_CURSOR, _SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
 _CLEAR = "\x1b[2J\x1b[H"
 
+TICK_S = 0.02
+
+PRIORITY = 60  # a person at the keys takes precedence over a program
+DRAW_INTERVAL_S = 0.2
+RETRY_S = 1.0
+STOP_KEYS = ("space", "k", "s")
+QUIT_KEYS = ("ctrl-c", "ctrl-d")
+QUIT_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 
 class Terminal:
     """Terminal of standard input and output."""
@@ -67,8 +76,6 @@ def key_terminal() -> Iterator[Terminal]:
 
 
 # -- commands for the robot -------------------------------------------------------------------------------------------
-
-TICK_S = 0.02
 
 
 class WatchedRobot:
@@ -178,13 +185,6 @@ class KeyDriver:
 
 
 # -- command ----------------------------------------------------------------------------------------------------------
-
-PRIORITY = 60  # a person at the keys takes precedence over a program
-DRAW_INTERVAL_S = 0.2
-RETRY_S = 1.0
-STOP_KEYS = ("space", "k", "s")
-QUIT_KEYS = ("ctrl-c", "ctrl-d")
-QUIT_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def command(

@@ -42,6 +42,26 @@ from hostlink.core.runtime.plain_text import csv_text
 from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import ConfigError, HostlinkError, WrongType, size
 
+RATE_S = 1.0  # in which the rates of -v are measured
+HEAD = ("topic", "type", "pubs", "subs", "messages", "rate")
+
+PARTS_OF_TOPIC = 2  # "/run" has two parts
+
+LONGEST = 32  # values of a list that a terminal shows in full
+
+SHOWN = 8  # values of a list that is shortened
+
+DIGITS = 6  # after the point of a number of 1 or more, and significant ones below 1: a float32 has no more
+
+RATE_WINDOW = 10_000  # messages, rostopic's default
+
+INTERVAL_S = 1.0
+
+BW_WINDOW = 100  # messages, rostopic's default
+
+PUB_RATE_HZ = 10.0
+VELOCITY_HOLDS_S = 0.5  # the lease of robot/admission.py
+
 # -- services and types -----------------------------------------------------------------------------------------------
 
 
@@ -66,9 +86,6 @@ async def type_of(host: Host, topic: str, step: str = "`hostlink topics` lists a
 
 
 # -- topics -----------------------------------------------------------------------------------------------------------
-
-RATE_S = 1.0  # in which the rates of -v are measured
-HEAD = ("topic", "type", "pubs", "subs", "messages", "rate")
 
 
 def topics(
@@ -180,7 +197,6 @@ def _fact_lines(found: dict[str, Any]) -> list[str]:
 
 _RECORDING = (".mcap", ".bag", ".bag.active", ".db3")
 _IN_FOLDER = (*_RECORDING, "metadata.yaml")  # the last one is of a folder of rosbag2
-PARTS_OF_TOPIC = 2  # "/run" has two parts
 
 
 def info(
@@ -350,9 +366,6 @@ class Echo:
     longest: float  # a list with more values, or a longer text, is shortened
 
 
-LONGEST = 32  # values of a list that a terminal shows in full
-
-
 def echo(
     topic: TopicName,
     type_name: Annotated[str, typer.Argument(metavar="[TYPE]", help="Its type, which may be left out.")] = "",
@@ -460,7 +473,6 @@ def with_field(echo: Echo, topics: Iterable[str]) -> Echo:
 
 # -- block ------------------------------------------------------------------------------------------------------------
 
-SHOWN = 8  # values of a list that is shortened
 _CHARS = 4  # characters of a text that count as one value of a list
 
 
@@ -499,7 +511,6 @@ def _inline(value: Any, longest: float) -> str:
 
 # -- fields -----------------------------------------------------------------------------------------------------------
 
-DIGITS = 6  # after the point of a number of 1 or more, and significant ones below 1: a float32 has no more
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d{1,9})\]")
 
 
@@ -561,8 +572,6 @@ def readable(value: Any) -> Any:
 
 # -- measuring --------------------------------------------------------------------------------------------------------
 
-RATE_WINDOW = 10_000  # messages, rostopic's default
-
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
@@ -618,8 +627,6 @@ class MessageWindow:
 
 
 # -- topic figures ----------------------------------------------------------------------------------------------------
-
-INTERVAL_S = 1.0
 
 
 async def _nothing_to_check(_host: Host, _topic: str) -> None:
@@ -727,8 +734,6 @@ hz = command_of(
 
 
 # -- bw ---------------------------------------------------------------------------------------------------------------
-
-BW_WINDOW = 100  # messages, rostopic's default
 
 
 def _bw_view(measured: MessageWindow) -> dict[str, Any]:
@@ -865,10 +870,6 @@ def pub(
     publishing = Publishing(rate or PUB_RATE_HZ, message_count(rate, count, once=once))
     run_until_interrupted(_pub(connected(url, token), topic, message, type_name or named_type, publishing))
     write_error(f"{publishing.sent} sent")
-
-
-PUB_RATE_HZ = 10.0
-VELOCITY_HOLDS_S = 0.5  # the lease of robot/admission.py
 
 
 def message_count(rate_hz: float | None, count: int | None, *, once: bool) -> int:

@@ -32,6 +32,8 @@ from hostlink.core.robot.standstill import Standstill
 from hostlink.core.runtime.cancellation import raise_if_cancelled
 from hostlink.errors import BadRequest, HostlinkError, Refused, StopFailed
 
+DEFAULT_URL = f"http://127.0.0.1:{DEFAULT_PORT}"
+
 # -- host -------------------------------------------------------------------------------------------------------------
 
 
@@ -435,7 +437,6 @@ def _measured(answer: Mapping[str, Any]) -> dict[str, Standstill]:
 
 # -- connecting -------------------------------------------------------------------------------------------------------
 
-DEFAULT_URL = f"http://127.0.0.1:{DEFAULT_PORT}"
 _ADVICE = (
     "is not open yet: write `async with hostlink.client.connect() as host:`; "
     "without asyncio `with hostlink.client.connect_blocking() as host:`"

@@ -17,6 +17,10 @@ from hostlink.core.robot.standstill import Standstill, StandstillState
 from hostlink.core.robot.views import CommandEndpointView
 from hostlink.errors import ConfigError, HostlinkError, Refused
 
+DEFAULT_PORT = 9090  # of an address that is a host alone
+REQUEST_TIMEOUT_S = 5.0
+CLOSE_TIMEOUT_S = 1.0
+
 # -- JSON -------------------------------------------------------------------------------------------------------------
 
 
@@ -76,9 +80,6 @@ class EventStream:
 
 # -- http client ------------------------------------------------------------------------------------------------------
 
-DEFAULT_PORT = 9090  # of an address that is a host alone
-REQUEST_TIMEOUT_S = 5.0
-CLOSE_TIMEOUT_S = 1.0
 _SCHEMES = {"http": "http", "https": "https", "ws": "http", "wss": "https"}
 _NOT_KNOWN = "it does not know this token, or not any more: ask whoever runs it for one"
 _JSON = {"Content-Type": "application/json"}

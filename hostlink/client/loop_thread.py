@@ -43,6 +43,9 @@ from hostlink.errors import HostlinkError
 
 _watched: "weakref.WeakSet[_Life]" = weakref.WeakSet()
 
+CLOSE_TIMEOUT_S = 4.0  # the stops, what is not settled, and the goodbye have a second each
+CANCEL_TIMEOUT_S = 1.0
+
 
 def watch(connection: "_Life") -> None:
     """End what it drives when the program, or a part of it, ends."""
@@ -103,8 +106,6 @@ os.register_at_fork(after_in_child=_watch_main_thread.cache_clear)
 
 # -- thread -----------------------------------------------------------------------------------------------------------
 
-CLOSE_TIMEOUT_S = 4.0  # the stops, what is not settled, and the goodbye have a second each
-CANCEL_TIMEOUT_S = 1.0
 
 Result = TypeVar("Result")
 Item = TypeVar("Item")

@@ -33,6 +33,15 @@ _OF_TABLES = "component_settings"  # field of `Config`, not a key of the file
 ParameterScalar = bool | int | float | str
 ParameterValue = ParameterScalar | list[ParameterScalar]
 
+AUTO = "auto"  # as the protocol of a serial port: rosserial or micro-ROS, as its bytes tell
+
+MAX_WHEELS = 8
+MAX_WORD_BYTES = 1024  # a stop of the guardian has four times as many, and a board takes 512 by default
+MAX_JOY = 64  # axes and buttons of a Joy
+MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
+
+MAX_DEVICES = 8  # of one robot
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TcpConfig:
@@ -145,7 +154,6 @@ class MicroRosConfig:
     velocity_stream: Literal[0, 1] = 0  # 1: for clients that refuse messages without a number
 
 
-AUTO = "auto"  # as the protocol of a serial port: rosserial or micro-ROS, as its bytes tell
 _RATE_IN_PATH = re.compile(r"(.+):(\d{3,9})")  # "/dev/ttyUSB0:115200"; a name in by-path ends with ":1.0-port0"
 
 
@@ -435,13 +443,6 @@ _WITHOUT_Y = ("differential", "skid_steer", "ackermann")
 _DIRECTIONS = ("forward", "backward", "left", "right")
 _JOY_AXES = ("x_axis", "y_axis", "yaw_axis")
 _COMPONENTS = 3  # of a Vector3
-MAX_WHEELS = 8
-MAX_WORD_BYTES = 1024  # a stop of the guardian has four times as many, and a board takes 512 by default
-MAX_JOY = 64  # axes and buttons of a Joy
-MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
-
-
-MAX_DEVICES = 8  # of one robot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

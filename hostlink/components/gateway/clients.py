@@ -29,6 +29,10 @@ OPERATION_BYTES = 1024  # of memory for a small one; 128 clients that had left w
 Content = TypeVar("Content")
 Spawn = Callable[[Coroutine[Any, Any, None]], object]  # runs a coroutine in the client's task group
 
+NOT_A_VELOCITY = (None, False)  # also for an invalid velocity, which is refused and replaces nothing
+
+MAX_NAMED = 3  # topics in the text about dropped messages
+
 
 class VelocityOf(NamedTuple):
     """Facts of an operation with a velocity, besides the velocity."""
@@ -200,7 +204,6 @@ def _is_replaced(older: Operation[Content], newer: Operation[Content]) -> bool:
 
 
 _TWISTS = frozenset({TWIST_TYPE, TWIST_STAMPED_TYPE})
-NOT_A_VELOCITY = (None, False)  # also for an invalid velocity, which is refused and replaces nothing
 
 
 def velocity_of_payload(
@@ -248,9 +251,6 @@ class ClientQueue(Queue[Outgoing]):
 
 def _size_bytes(outgoing: Outgoing) -> int:
     return len(outgoing.data) + len(outgoing.before)
-
-
-MAX_NAMED = 3  # topics in the text about dropped messages
 
 
 def dropped_text(counts: Counter[str]) -> str:

@@ -39,6 +39,19 @@ from hostlink.errors import BadPayload
 MOST_BYTES = 4096  # smaller amounts arrive at once, or wait for a delayed acknowledgement
 CHECK_S = 0.02
 
+TICK_S = 0.1  # poses arrive ten times a second
+REFRESH_S = 9.5 * TICK_S  # for ages and counters: every tenth tick
+SHARE = 0.03  # of the processor, for one kind of event: a large fleet is sent less often
+BYTE_COST_S = 2e-9  # of sending to one reader
+MAX_LINES = 64
+LINGER_S = 10.0  # lines are kept for so long after the last reader, who may reconnect
+LAST_ID_HEADER = "Last-Event-ID"
+
+HEARTBEAT_S = 0.3  # a reader without three of them knows that the daemon is gone
+SEND_TIMEOUT_S = 5.0
+ROLE_HEADER = "Hostlink-Role"  # role of the reader's token: read or drive
+HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no", "Content-Type": "text/event-stream"}
+
 
 def unread_bytes(transport: asyncio.WriteTransport) -> int:
     """Return the bytes that the receiver has not acknowledged: in the process and, on Linux, in the kernel.
@@ -72,15 +85,6 @@ async def until_read(transport: asyncio.WriteTransport | None, timeout_s: float)
         elif loop.time() - since_s > timeout_s:
             raise TimeoutError
         await asyncio.sleep(CHECK_S)
-
-
-TICK_S = 0.1  # poses arrive ten times a second
-REFRESH_S = 9.5 * TICK_S  # for ages and counters: every tenth tick
-SHARE = 0.03  # of the processor, for one kind of event: a large fleet is sent less often
-BYTE_COST_S = 2e-9  # of sending to one reader
-MAX_LINES = 64
-LINGER_S = 10.0  # lines are kept for so long after the last reader, who may reconnect
-LAST_ID_HEADER = "Last-Event-ID"
 
 
 class Reader:
@@ -296,11 +300,6 @@ def encode_event(name: str, json: bytes, event_id: str = "") -> bytes:
     id_line = f"id: {event_id}\n" if event_id else ""
     return b"%bevent: %b\ndata: %b\n\n" % (id_line.encode(), name.encode(), json)
 
-
-HEARTBEAT_S = 0.3  # a reader without three of them knows that the daemon is gone
-SEND_TIMEOUT_S = 5.0
-ROLE_HEADER = "Hostlink-Role"  # role of the reader's token: read or drive
-HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no", "Content-Type": "text/event-stream"}
 
 Send = Callable[[bytes], Awaitable[None]]
 

@@ -74,6 +74,16 @@ from hostlink.errors import BadPayload, BadRequest, HostlinkError, without_frame
 
 Names = Mapping[str, tuple[str, ...]]
 
+INTERVAL_S = 0.1  # between two times while no message is sent
+STEP_S = 0.005  # between two times before messages: the app takes the newest time as a message's time of arrival
+SLIGHT_NS = 1_000_000_000  # smaller steps back are not sent: the app takes them for a seek and drops messages
+
+CHECK_INTERVAL_S = 0.5  # between comparisons of watched parameters
+
+BATCH = 64  # channels or services in one message
+CHANGES_INTERVAL_S = 0.05  # between two updates of the graph: a client may request all of it repeatedly
+MAX_UNDEFINED = 8  # topics without a definition that are reported to a client at once
+
 
 class FoxgloveChannel(NamedTuple):
     """A topic as it is advertised."""
@@ -222,9 +232,6 @@ def _changes(before: Names, now: Names, removed: set[str], ids: str) -> list[dic
     return changed + [{"name": name, ids: []} for name in before if name not in now and name not in removed]
 
 
-INTERVAL_S = 0.1  # between two times while no message is sent
-STEP_S = 0.005  # between two times before messages: the app takes the newest time as a message's time of arrival
-SLIGHT_NS = 1_000_000_000  # smaller steps back are not sent: the app takes them for a seek and drops messages
 _QUEUED_AS = ""  # not a topic's name
 
 
@@ -381,9 +388,6 @@ def _decode(call: ServiceCall, service: FoxgloveService) -> dict[str, object]:
         raise BadRequest(f"{service.name}: {error}") from None
 
 
-CHECK_INTERVAL_S = 0.5  # between comparisons of watched parameters
-
-
 class FoxgloveParameters:
     """Parameters that a client reads, sets and watches, by full names. Floats carry a type: JSON keeps none."""
 
@@ -487,9 +491,6 @@ def _value(setting: ParameterSetting) -> object:
 
 log = structlog.get_logger()
 
-BATCH = 64  # channels or services in one message
-CHANGES_INTERVAL_S = 0.05  # between two updates of the graph: a client may request all of it repeatedly
-MAX_UNDEFINED = 8  # topics without a definition that are reported to a client at once
 _WARNING, _ERROR = 1, 2  # levels of a status
 _READING = ("services", "parameters", "parametersSubscribe", "connectionGraph", "time")
 _Item = TypeVar("_Item")

@@ -21,6 +21,10 @@ _TIME_FRAME = struct.Struct("<BQ")  # opcode, time in ns
 _PUBLISHED_HEAD = struct.Struct("<BI")  # opcode, channel of the client
 _CALL_HEAD = struct.Struct("<BIII")  # opcode, service, call, length of the encoding's name
 
+MAX_ITEMS = 1024  # in one request
+MAX_SETTINGS = 16  # parameters set in one request; each is compared with all existing ones
+MAX_REASON = 300  # characters of an error, which may quote the client
+
 
 class Published(NamedTuple):
     """A message on one of the client's channels."""
@@ -80,9 +84,6 @@ def _decode_call(data: bytes) -> ServiceCall:
     return ServiceCall(service_id, call_id, encoding, data[end:])
 
 
-MAX_ITEMS = 1024  # in one request
-MAX_SETTINGS = 16  # parameters set in one request; each is compared with all existing ones
-MAX_REASON = 300  # characters of an error, which may quote the client
 _Number = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # fits a binary message
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=MAX_TEXT)]
 _Text = Annotated[str, msgspec.Meta(max_length=MAX_TEXT)]

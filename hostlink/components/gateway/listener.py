@@ -25,6 +25,19 @@ from hostlink.core.transport.base import READ_BYTES
 
 IDLE_TIMEOUT_S = 75.0  # after an answer, as in nginx: browsers and proxies reuse connections
 
+REQUEST_BYTES = 2 * READ_BYTES  # in one read, while the connection speaks HTTP
+SOCKET_BYTES = 64 * 1024  # in one read of a WebSocket, within a message that is larger than READ_BYTES
+CONTROL_FRAME_BYTES = 6  # of a client's ping or pong, without payload
+HEAD_END = b"\r\n\r\n"  # of a request
+LARGE_BYTES = SOCKET_BYTES  # a larger message needs room in the byte budget before it is read
+
+# Nothing drops, replaces or counts messages behind a client's queue: little fits there.
+UNSENT_BYTES = 16 * 1024  # in the kernel while the client does not read, and one write in the process
+SEND_BUFFER_BYTES = 64 * 1024  # in the kernel with what is on its way; Linux takes twice as much
+
+SWEEP_INTERVAL_S = 1.0  # a connection may exceed its timeout by this time
+UNAVAILABLE = b"HTTP/1.1 503 Too many connections\r\nConnection: close\r\nRetry-After: 1\r\nContent-Length: 0\r\n\r\n"
+
 
 @dataclass(slots=True, eq=False)
 class ApiConnection:
@@ -129,16 +142,6 @@ class ApiConnections:
         self.closed[cause] += 1
         return None, None
 
-
-REQUEST_BYTES = 2 * READ_BYTES  # in one read, while the connection speaks HTTP
-SOCKET_BYTES = 64 * 1024  # in one read of a WebSocket, within a message that is larger than READ_BYTES
-CONTROL_FRAME_BYTES = 6  # of a client's ping or pong, without payload
-HEAD_END = b"\r\n\r\n"  # of a request
-LARGE_BYTES = SOCKET_BYTES  # a larger message needs room in the byte budget before it is read
-
-# Nothing drops, replaces or counts messages behind a client's queue: little fits there.
-UNSENT_BYTES = 16 * 1024  # in the kernel while the client does not read, and one write in the process
-SEND_BUFFER_BYTES = 64 * 1024  # in the kernel with what is on its way; Linux takes twice as much
 
 _INTO = memoryview(bytearray(SOCKET_BYTES))  # receive buffer of all connections, copied before the next read
 
@@ -404,8 +407,6 @@ def _take_nothing(_: bytes) -> bool:
 
 log = structlog.get_logger()
 
-SWEEP_INTERVAL_S = 1.0  # a connection may exceed its timeout by this time
-UNAVAILABLE = b"HTTP/1.1 503 Too many connections\r\nConnection: close\r\nRetry-After: 1\r\nContent-Length: 0\r\n\r\n"
 
 MakeProtocol = Callable[[], asyncio.Protocol]
 

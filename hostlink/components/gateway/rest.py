@@ -46,6 +46,17 @@ from hostlink.errors import BadRequest, DeviceGone, HostlinkError, UnknownTopic
 
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 
+SIM = "hostlink sim"
+SIM_CONNECTS_TO = ("127.0.0.1", 11411)  # the address that it uses without --connect
+LOOPBACK = {4: "127.0.0.1", 6: "::1"}
+
+MAX_DIGITS = 6  # digits of a limit
+
+VELOCITY_BYTES = 1024  # of a body
+LOCK_BYTES = 4096
+
+VELOCITY = '{"linear": m/s, "angular": rad/s}'
+
 
 def _caller(request: web.Request) -> str:
     """Return the name of the participant that a request has, or would have if it drove."""
@@ -82,11 +93,6 @@ class Owners:
             self._owners.popitem(last=False)[1].leave()
             self.evicted += 1
         return owner
-
-
-SIM = "hostlink sim"
-SIM_CONNECTS_TO = ("127.0.0.1", 11411)  # the address that it uses without --connect
-LOOPBACK = {4: "127.0.0.1", 6: "::1"}
 
 
 class AddressView(TypedDict):
@@ -176,9 +182,6 @@ class ReloadView(TypedDict):
     renamed: dict[str, str]
 
 
-MAX_DIGITS = 6  # digits of a limit
-
-
 class DriveView(TypedDict):
     """One drive: its driver, its times (UTC), its highest speeds (m/s, rad/s). `end` is empty while it lasts.
 
@@ -224,14 +227,9 @@ def _drive_view(drive: Drive) -> DriveView:
 
 Body = TypeVar("Body", bound=msgspec.Struct)
 
-VELOCITY_BYTES = 1024  # of a body
-LOCK_BYTES = 4096
 
 NOT_FOUND, CONFLICT, UNAVAILABLE = HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT, HTTPStatus.SERVICE_UNAVAILABLE
 TOO_LARGE, BAD_REQUEST = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, HTTPStatus.BAD_REQUEST
-
-
-VELOCITY = '{"linear": m/s, "angular": rad/s}'
 
 
 class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):

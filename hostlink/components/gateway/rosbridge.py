@@ -62,6 +62,20 @@ from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkErro
 MAX_REASON = 120  # characters of why a program stops; longer ones are cut
 MAX_TEXT = 1024  # characters of a name or an id; roslib's longest ids are a name and 50 more
 
+MAX_PENDING = 4  # incomplete messages of one client
+MAX_PIECES = 1024  # fragments of one message
+TIMEOUT_S = 60.0  # since the last fragment of a message
+
+HEADER = "std_msgs/Header"
+MAX_PARTS = 2000  # about 15 ms; a path of a small robot has a few hundred poses
+
+MAX_QUEUE_LENGTH = 256
+
+MAX_ANSWERS = 64  # calls of one client that wait for another daemon
+
+MAX_MESSAGE_BYTES = ApiConfig().max_message_bytes  # of a message in fragments, unless it is configured
+MAX_UNKNOWN_OPS = 8  # logged for each client; the number of invalid operations is unbounded
+
 
 class DriveOperation(msgspec.Struct, forbid_unknown_fields=True, tag_field="op", tag="drive"):
     """Fields of the operation `drive`: m/s and rad/s, counter-clockwise positive; `linear_y` is to the left.
@@ -228,11 +242,6 @@ class Request:
         return self.fields.get("latch") is True
 
 
-MAX_PENDING = 4  # incomplete messages of one client
-MAX_PIECES = 1024  # fragments of one message
-TIMEOUT_S = 60.0  # since the last fragment of a message
-
-
 @dataclass(slots=True)
 class _Pending:
     total: int
@@ -305,10 +314,6 @@ class Fragments:
         size = sum(map(size_bytes_of, self._pending.pop(key).pieces.values()))
         self._bytes -= size
         self._share.give(size)
-
-
-HEADER = "std_msgs/Header"
-MAX_PARTS = 2000  # about 15 ms; a path of a small robot has a few hundred poses
 
 
 def fill_stamps(type_: MessageType, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
@@ -433,7 +438,6 @@ def _with_typed_arrays(type_: MessageType, fields: Mapping[str, Any]) -> dict[st
     return shaped
 
 
-MAX_QUEUE_LENGTH = 256
 Warn = Callable[[str], None]
 
 _BINARY = {"cbor": encode_cbor, "cbor-raw": encode_cbor_raw}
@@ -684,9 +688,6 @@ class ClientServices:
             del self._waiting[key]
 
 
-MAX_ANSWERS = 64  # calls of one client that wait for another daemon
-
-
 class Asked(NamedTuple):
     """The id of a `drive`, and the ids of those that it replaced."""
 
@@ -844,8 +845,6 @@ def graph_view(graph: Graph) -> dict[str, list[dict[str, object]]]:
 
 log = structlog.get_logger()
 
-MAX_MESSAGE_BYTES = ApiConfig().max_message_bytes  # of a message in fragments, unless it is configured
-MAX_UNKNOWN_OPS = 8  # logged for each client; the number of invalid operations is unbounded
 # `drive` checks the role itself: it is always answered
 _FOR_READERS = frozenset(
     {"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment", "watch_graph", "drive"}

@@ -43,6 +43,38 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 FILE = "application/octet-stream"  # media type of files that are read in ranges
 _REFERENCE = "#/components/schemas/{name}"
 
+STATUS = {
+    BadRequest: HTTPStatus.BAD_REQUEST,
+    NoRole: HTTPStatus.FORBIDDEN,
+    WrongType: HTTPStatus.BAD_REQUEST,
+    UnknownTopic: HTTPStatus.NOT_FOUND,
+    FrameTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    BadPayload: HTTPStatus.BAD_GATEWAY,
+    ServiceFailed: HTTPStatus.BAD_GATEWAY,
+    DeviceGone: HTTPStatus.SERVICE_UNAVAILABLE,
+    ComponentGone: HTTPStatus.SERVICE_UNAVAILABLE,
+    DeviceBusy: HTTPStatus.SERVICE_UNAVAILABLE,
+    ConfigError: HTTPStatus.INTERNAL_SERVER_ERROR,
+    RecordingBusy: HTTPStatus.CONFLICT,
+    ReloadRefused: HTTPStatus.CONFLICT,
+    UnknownFormat: HTTPStatus.INSUFFICIENT_STORAGE,
+    RecordingFailed: HTTPStatus.INSUFFICIENT_STORAGE,
+}
+REFUSAL_STATUS = {
+    RefusalKind.NOT_FINITE: HTTPStatus.BAD_REQUEST,
+    RefusalKind.UNSUPPORTED: HTTPStatus.BAD_REQUEST,
+    RefusalKind.NOT_CONNECTED: HTTPStatus.SERVICE_UNAVAILABLE,
+    RefusalKind.ENDING: HTTPStatus.SERVICE_UNAVAILABLE,
+    RefusalKind.LOCKED: HTTPStatus.CONFLICT,
+    RefusalKind.HELD: HTTPStatus.CONFLICT,
+    RefusalKind.DISARMED: HTTPStatus.CONFLICT,
+    RefusalKind.LATE: HTTPStatus.CONFLICT,
+    RefusalKind.CROWDED: HTTPStatus.TOO_MANY_REQUESTS,
+}
+COMPRESSED_BYTES = 4096  # smaller answers fit in a few packets without compression
+
+FOXGLOVE = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # subprotocols: two names of one protocol
+
 
 class ErrorReason(TypedDict):
     """Reason of an error: a kind for programs, a text for people. holder: of a `held` robot, who drives it."""
@@ -153,35 +185,6 @@ def _schema(type_: type) -> dict[str, str]:
     return {"$ref": _REFERENCE.format(name=type_.__name__)}
 
 
-STATUS = {
-    BadRequest: HTTPStatus.BAD_REQUEST,
-    NoRole: HTTPStatus.FORBIDDEN,
-    WrongType: HTTPStatus.BAD_REQUEST,
-    UnknownTopic: HTTPStatus.NOT_FOUND,
-    FrameTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-    BadPayload: HTTPStatus.BAD_GATEWAY,
-    ServiceFailed: HTTPStatus.BAD_GATEWAY,
-    DeviceGone: HTTPStatus.SERVICE_UNAVAILABLE,
-    ComponentGone: HTTPStatus.SERVICE_UNAVAILABLE,
-    DeviceBusy: HTTPStatus.SERVICE_UNAVAILABLE,
-    ConfigError: HTTPStatus.INTERNAL_SERVER_ERROR,
-    RecordingBusy: HTTPStatus.CONFLICT,
-    ReloadRefused: HTTPStatus.CONFLICT,
-    UnknownFormat: HTTPStatus.INSUFFICIENT_STORAGE,
-    RecordingFailed: HTTPStatus.INSUFFICIENT_STORAGE,
-}
-REFUSAL_STATUS = {
-    RefusalKind.NOT_FINITE: HTTPStatus.BAD_REQUEST,
-    RefusalKind.UNSUPPORTED: HTTPStatus.BAD_REQUEST,
-    RefusalKind.NOT_CONNECTED: HTTPStatus.SERVICE_UNAVAILABLE,
-    RefusalKind.ENDING: HTTPStatus.SERVICE_UNAVAILABLE,
-    RefusalKind.LOCKED: HTTPStatus.CONFLICT,
-    RefusalKind.HELD: HTTPStatus.CONFLICT,
-    RefusalKind.DISARMED: HTTPStatus.CONFLICT,
-    RefusalKind.LATE: HTTPStatus.CONFLICT,
-    RefusalKind.CROWDED: HTTPStatus.TOO_MANY_REQUESTS,
-}
-COMPRESSED_BYTES = 4096  # smaller answers fit in a few packets without compression
 _KEPT_HEADERS = ("Allow", "WWW-Authenticate", "Retry-After")
 
 
@@ -249,7 +252,6 @@ def _step(error: web.HTTPException) -> str:
     )
 
 
-FOXGLOVE = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # subprotocols: two names of one protocol
 _READ_AS_TEXT = ("Host", "Origin", "Expect", "Connection", "Sec-WebSocket-Key", "Sec-WebSocket-Version")
 
 Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]

@@ -63,6 +63,13 @@ PAGE_HEADERS = {
     "Referrer-Policy": "no-referrer",
 }
 
+SHUTDOWN_TIMEOUT_S = 0.3
+LINGER_S = 1.0  # for an unexpected body, before its connection is closed
+REQUEST_S = 0.0005  # cost of a small request
+MAX_GROUP = 64  # characters of a group's name
+ALLOWED_HEADERS = "Authorization, Content-Type, Range"
+EXPOSED_HEADERS = "Accept-Ranges, Content-Length, Content-Range, ETag, Last-Modified"  # for readers of recordings
+
 
 async def page_file(request: web.Request) -> web.StreamResponse:
     """Serve a file of the page. It needs no token, because it names no robot."""
@@ -78,13 +85,6 @@ async def page_file(request: web.Request) -> web.StreamResponse:
 
 
 log = structlog.get_logger()
-
-SHUTDOWN_TIMEOUT_S = 0.3
-LINGER_S = 1.0  # for an unexpected body, before its connection is closed
-REQUEST_S = 0.0005  # cost of a small request
-MAX_GROUP = 64  # characters of a group's name
-ALLOWED_HEADERS = "Authorization, Content-Type, Range"
-EXPOSED_HEADERS = "Accept-Ranges, Content-Length, Content-Range, ETag, Last-Modified"  # for readers of recordings
 
 
 class OpenApiView(TypedDict):

@@ -23,6 +23,14 @@ from hostlink.core.runtime.whole_file import replace_file
 PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is released and pressed again
 MAX_OPEN = 1024  # unfinished drives
 
+MAX_RECENT = 1000
+MAX_FILE_BYTES = 1_000_000  # about 2,000 drives with two lines each, and two for each pause; one earlier file is kept
+NAME = "drives.jsonl"
+NAME_BEFORE = "drives.before.jsonl"
+DIED = "the daemon died"  # end of a drive that has only a start line
+
+END_S = 1.0  # to write the last drives
+
 
 class Drive(msgspec.Struct, kw_only=True):
     """One drive.
@@ -140,12 +148,6 @@ class DriveFinder:
 
 # -- drive file -------------------------------------------------------------------------------------------------------
 
-MAX_RECENT = 1000
-MAX_FILE_BYTES = 1_000_000  # about 2,000 drives with two lines each, and two for each pause; one earlier file is kept
-NAME = "drives.jsonl"
-NAME_BEFORE = "drives.before.jsonl"
-DIED = "the daemon died"  # end of a drive that has only a start line
-
 
 class LastCommand(NamedTuple):
     """Last driver of a robot when the daemon was killed, with the time of the last command."""
@@ -239,8 +241,6 @@ def _read(line: bytes) -> Drive | None:
 # -- drive log --------------------------------------------------------------------------------------------------------
 
 log = structlog.get_logger()
-
-END_S = 1.0  # to write the last drives
 
 
 class DriveLog:

@@ -23,6 +23,10 @@ from hostlink.errors import BadPayload, RecordingFailed, UnknownFormat
 MAX_NAMED = 10  # topics named in a refusal
 OF_TOOLS = ("/parameter_events", "/rosout")  # every node of ROS 2 publishes them for itself
 
+MAX_ARRAY = 64  # elements of an array with columns of their own; a longer array is one column with JSON
+MAX_COLUMNS = 10_000  # of one file; JSON messages may have varying fields
+MAX_OPEN_FILES = 128  # a process may open 1024 files, or 256, and a hundred robots have more topics
+
 
 @dataclass(slots=True)
 class Exported:
@@ -109,9 +113,6 @@ def check_done(source: RecordingSource, done: Exported) -> None:
     done.damage = source.damage
 
 
-MAX_ARRAY = 64  # elements of an array with columns of their own; a longer array is one column with JSON
-MAX_COLUMNS = 10_000  # of one file; JSON messages may have varying fields
-MAX_OPEN_FILES = 128  # a process may open 1024 files, or 256, and a hundred robots have more topics
 _LONGEST_NAME = 200  # characters; a file name may have 255 bytes
 _TIME = "time_s"  # arrival time since the epoch
 

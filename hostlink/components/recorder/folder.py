@@ -14,6 +14,10 @@ from hostlink.core.runtime.folders import FolderOwner, state_folder
 from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import BadRequest
 
+SUFFIX = ".mcap"
+MEGABYTE = 1_000_000
+NAME_PATTERN = r"^[A-Za-z0-9]([A-Za-z0-9_+-]|\.(?!\.)){0,99}$"  # cannot leave the folder
+
 # -- disk budget ------------------------------------------------------------------------------------------------------
 
 
@@ -42,10 +46,6 @@ def over_budget(files: Iterable[StoredFile], budget_bytes: int) -> list[str]:
 
 
 # -- folder -----------------------------------------------------------------------------------------------------------
-
-SUFFIX = ".mcap"
-MEGABYTE = 1_000_000
-NAME_PATTERN = r"^[A-Za-z0-9]([A-Za-z0-9_+-]|\.(?!\.)){0,99}$"  # cannot leave the folder
 
 
 def default_folder() -> Path:

@@ -19,6 +19,11 @@ from hostlink.errors import BadPayload
 
 Sample = TypeVar("Sample")
 
+MAX_SAMPLES = 6000  # of one topic: two and a half minutes at 40 Hz; above it every second, third, ... sample is kept
+MAX_TOPICS = 16  # of odometry, and of velocities; a robot has one of each
+PLOT_LEAF = "plot_data"
+FREQUENT = (EventKind.COMMANDED.value, EventKind.REFUSED.value)
+
 
 class Thinned(Generic[Sample]):
     """Samples at equal steps, at most twice `most`, and always the last one."""
@@ -44,11 +49,6 @@ class Thinned(Generic[Sample]):
         """Return the kept samples in order."""
         return self._kept if self._last is None else [*self._kept, self._last]
 
-
-MAX_SAMPLES = 6000  # of one topic: two and a half minutes at 40 Hz; above it every second, third, ... sample is kept
-MAX_TOPICS = 16  # of odometry, and of velocities; a robot has one of each
-PLOT_LEAF = "plot_data"
-FREQUENT = (EventKind.COMMANDED.value, EventKind.REFUSED.value)
 
 Decode = Callable[[bytes], dict[str, Any]]
 Part = Literal["odometry", "velocity", "plot", "events"]

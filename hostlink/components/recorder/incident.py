@@ -27,6 +27,10 @@ WATCHDOG_TEXT = "no command for"  # log text of the project's firmware when its 
 SILENCES = ("went_silent", "time_stopped")  # findings that end a link
 _ENDS = (EventKind.STOPPED, EventKind.LOCKED, EventKind.GONE)  # end of a drive
 
+MAX_LISTED = 1000
+
+BURST = 64  # messages, which take about half a millisecond
+
 
 @dataclass(frozen=True, slots=True)
 class Incident:
@@ -114,8 +118,6 @@ def _cause_of_line(text: str, level: object) -> tuple[Cause | None, str]:
 
 # -- incident files ---------------------------------------------------------------------------------------------------
 
-MAX_LISTED = 1000
-
 
 @dataclass(frozen=True, slots=True)
 class SavedIncident:
@@ -161,8 +163,6 @@ def read_incident(path: Path) -> Incident | None:
 
 
 # -- incident writer --------------------------------------------------------------------------------------------------
-
-BURST = 64  # messages, which take about half a millisecond
 
 
 class OutOfTime(Exception):

@@ -32,6 +32,17 @@ PROFILE = "ros1"
 # Kinds of records that the end of a file repeats or lists, in their order there.
 _SUMMARY = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.METADATA_INDEX)
 
+MAX_WAITING_BYTES = 16 * 1024 * 1024  # waiting messages on a slow disk; further ones are dropped
+MESSAGE_BYTES = 200  # memory of a waiting message besides its payload
+WRITE_INTERVAL_S = 0.05
+CHUNK_INTERVAL_S = 0.7  # together with the write and pose intervals less than a second is lost on a busy machine
+MAX_ANNOUNCEMENTS = 16_384  # bounds short-lived topics; later channels are added with their first message
+MAX_EXPECTED = MAX_CHANNELS // 2  # channels at the start of each file, the newest: there must be room for others
+# A file whose channels are used up is ended no sooner, so that ten thousand topics at once cause few files.
+FULL_FILE_S = 60.0
+BURST = 64  # messages between two checks of the clock; the loop waits at most half a millisecond for the interpreter
+CLOSE_TIMEOUT_S = 2.0
+
 
 class McapWriter:
     """Writer of one file, for one thread. Messages are in the file after `end_chunk`; `close` adds the index.
@@ -173,18 +184,6 @@ class McapWriter:
         """Close the unfinished file."""
         with contextlib.suppress(OSError):  # the buffer cannot be written either; the first error was raised already
             self._file.close()
-
-
-MAX_WAITING_BYTES = 16 * 1024 * 1024  # waiting messages on a slow disk; further ones are dropped
-MESSAGE_BYTES = 200  # memory of a waiting message besides its payload
-WRITE_INTERVAL_S = 0.05
-CHUNK_INTERVAL_S = 0.7  # together with the write and pose intervals less than a second is lost on a busy machine
-MAX_ANNOUNCEMENTS = 16_384  # bounds short-lived topics; later channels are added with their first message
-MAX_EXPECTED = MAX_CHANNELS // 2  # channels at the start of each file, the newest: there must be room for others
-# A file whose channels are used up is ended no sooner, so that ten thousand topics at once cause few files.
-FULL_FILE_S = 60.0
-BURST = 64  # messages between two checks of the clock; the loop waits at most half a millisecond for the interpreter
-CLOSE_TIMEOUT_S = 2.0
 
 
 class _QueuedMessage(NamedTuple):

@@ -44,6 +44,18 @@ _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
 _SUMMARY = ((Opcode.SCHEMA,), (Opcode.CHANNEL, Opcode.STATISTICS), (Opcode.CHUNK_INDEX,))
 _DAMAGES = (ValueError, struct.error, OverflowError, MemoryError)
 
+MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; chunks of other writers have a few MB
+NOT_FINISHED = "the file was not finished"  # the only damage of a file whose writer was killed
+MAX_NAMED = 10  # damaged chunks that are described; the others are counted
+MAX_REASON = 200  # characters of a library's error text
+MAX_WAITING_BYTES = 256 * 1024 * 1024  # of messages that wait for earlier ones, which are further back in the file
+WAITING_BYTES = 200  # memory of a waiting message besides its payload
+
+UNFINISHED_SUFFIX = ".bag.active"  # of a ROS 1 bag that is being written, or that was not closed
+
+CLOCK_STEP_NS = NS_PER_S  # a smaller step is the delay of a message, or a slewed clock
+MAX_STEPS = 10  # listed clock steps
+
 
 class Index:
     """Chunks of a file in its order, stored as columns: a file of two gigabytes has a hundred thousand chunks."""
@@ -144,12 +156,6 @@ def _records(file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...]) 
             yield opcode, file.read(length)
 
 
-MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; chunks of other writers have a few MB
-NOT_FINISHED = "the file was not finished"  # the only damage of a file whose writer was killed
-MAX_NAMED = 10  # damaged chunks that are described; the others are counted
-MAX_REASON = 200  # characters of a library's error text
-MAX_WAITING_BYTES = 256 * 1024 * 1024  # of messages that wait for earlier ones, which are further back in the file
-WAITING_BYTES = 200  # memory of a waiting message besides its payload
 _NEVER = 2**64
 _CHUNK_TIMES = struct.Struct("<QQ")  # lowest and highest time of the messages, at the beginning of a chunk
 
@@ -626,7 +632,6 @@ def _first_steady_ns(file: IO[bytes], index: Index, number: int) -> int | None:
 
 
 ROS1_SUFFIX, ROS2_SUFFIX = ".bag", ".db3"
-UNFINISHED_SUFFIX = ".bag.active"  # of a ROS 1 bag that is being written, or that was not closed
 BAGS = (ROS1_SUFFIX, UNFINISHED_SUFFIX, ROS2_SUFFIX)
 
 
@@ -759,10 +764,6 @@ def _bag_channel(connection: Any) -> Channel:
     qos = (("offered_qos_profiles", dump_qos_v8(extra.offered_qos_profiles)),) if extra.offered_qos_profiles else ()
     encoding = CDR if extra.serialization_format == "cdr" else extra.serialization_format
     return Channel(connection.topic, encoding, connection.msgtype, definition.data, qos, language)
-
-
-CLOCK_STEP_NS = NS_PER_S  # a smaller step is the delay of a message, or a slewed clock
-MAX_STEPS = 10  # listed clock steps
 
 
 @dataclass(slots=True)

@@ -34,6 +34,13 @@ MAX_SCHEMAS = 4096
 MAX_SCHEMA_BYTES = 8 * 1024 * 1024
 RING, SCHEMAS = "ring", "schemas"
 
+_RECORD = struct.Struct("<IHHqd")
+_MARK = 0x9E5D
+_MARK_BYTES = struct.pack("<H", _MARK)
+HEADER_BYTES = _RECORD.size + len(_MARK_BYTES)  # of a message besides its payload
+
+MAX_MESSAGES = 150_000  # of one ring: a reader creates objects of 200 bytes for each
+
 
 class _Definition(msgspec.Struct, array_like=True):
     """Channel definition in a block."""
@@ -175,13 +182,8 @@ def read_schemas(folder: Path) -> list[str]:
 # -- ring -------------------------------------------------------------------------------------------------------------
 
 _BEGIN = struct.Struct("<Q")
-_RECORD = struct.Struct("<IHHqd")
-_MARK = 0x9E5D
-_MARK_BYTES = struct.pack("<H", _MARK)
-HEADER_BYTES = _RECORD.size + len(_MARK_BYTES)  # of a message besides its payload
 _ZEROS = bytes(BLOCK_BYTES)
 _MAX_PACKERS = 4096
-MAX_MESSAGES = 150_000  # of one ring: a reader creates objects of 200 bytes for each
 _NO_NUMBER = 0
 _MAX_NUMBER = 0xFFFF
 _MESSAGE, _MORE, _CONTINUED, _NAME, _CHANNEL = 0, 1, 2, 4, 8  # flags

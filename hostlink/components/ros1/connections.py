@@ -14,6 +14,12 @@ from hostlink.core.runtime.acceptor import Acceptor, bind
 from hostlink.core.runtime.listening import close_all
 from hostlink.core.transport.connection import BufferedConnection, set_options
 
+BATCH_BYTES = 64 * 1024  # that one write passes to the system
+PIECE_BYTES = 512  # of small messages, between two of which others may have their turn
+SYSTEM_BYTES = 64 * 1024  # in the kernel, each way: what waits there cannot be replaced
+CLOSE_TIMEOUT_S = 1.0
+USER_TIMEOUT_MS = 30_000  # a subscriber in a debugger may come back
+
 
 class Admitted(Protocol):
     """The protocol of a connection."""
@@ -104,12 +110,6 @@ class Port:
     def _note_refused(self) -> None:
         self._counts.refused_connections += 1
 
-
-BATCH_BYTES = 64 * 1024  # that one write passes to the system
-PIECE_BYTES = 512  # of small messages, between two of which others may have their turn
-SYSTEM_BYTES = 64 * 1024  # in the kernel, each way: what waits there cannot be replaced
-CLOSE_TIMEOUT_S = 1.0
-USER_TIMEOUT_MS = 30_000  # a subscriber in a debugger may come back
 
 Receive = Callable[[list[bytes]], None]
 

@@ -24,6 +24,11 @@ MAX_CHARS = 65536  # of texts, keys included, below one key
 MAX_PARTS = 64  # of the name of a parameter
 _TOO_LARGE = object()  # marks a value that no device can receive; the value itself is not kept
 
+CHECK_INTERVAL_S = 1.0  # how late a master that is back, or another node of this name, may be noticed
+STATE_INTERVAL_S = 3.0  # how late a service of another node may be; the master makes a list of all for it
+END_TIMEOUT_S = 1.0  # for one call to unregister
+LONGEST_END_S = 3.0  # to unregister everything; the daemon's end is forced after eight seconds
+
 
 class ParameterCache:
     """Parameters of the master that this node has subscribed to, and their updates.
@@ -182,11 +187,6 @@ def _usable(value: Any) -> ParameterValue | None:
 
 
 log = structlog.get_logger()
-
-CHECK_INTERVAL_S = 1.0  # how late a master that is back, or another node of this name, may be noticed
-STATE_INTERVAL_S = 3.0  # how late a service of another node may be; the master makes a list of all for it
-END_TIMEOUT_S = 1.0  # for one call to unregister
-LONGEST_END_S = 3.0  # to unregister everything; the daemon's end is forced after eight seconds
 
 
 class Registrar:

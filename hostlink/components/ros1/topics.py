@@ -20,6 +20,10 @@ from hostlink.errors import BadPayload, HostlinkError
 
 MAX_SUBSCRIBERS = 64  # of one topic
 
+NEW_S = 1.0  # after the master has named it, a new publisher is connected; later it may be in the middle of a motion
+MAX_REASON = 200  # characters in the log
+MAX_PORT = 0xFFFF
+
 
 class RosPublication:
     """Topic of the hub for ROS nodes. It subscribes in the hub while a node is connected, and forwards payloads."""
@@ -89,10 +93,6 @@ class RosPublication:
 
 
 log = structlog.get_logger()
-
-NEW_S = 1.0  # after the master has named it, a new publisher is connected; later it may be in the middle of a motion
-MAX_REASON = 200  # characters in the log
-MAX_PORT = 0xFFFF
 
 
 class RosPublisher:

@@ -31,6 +31,10 @@ _SIZES = {"byte": 1, "float32": 4, "float64": 8} | {
     f"{sign}int{8 * size}": size for sign in ("", "u") for size in (2, 4, 8)
 }
 
+HEADER = "std_msgs/msg/Header"
+
+MAX_REMEMBERED = 64  # messages of a topic; an echo arrives within milliseconds
+
 
 def load_type(type_name: str) -> Any:
     """The class of a message or service, as `geometry_msgs/msg/Twist` names it.
@@ -98,7 +102,6 @@ def added_bytes(ros1: Layout, ros2: Layout) -> int | None:
 
 
 _STAMP = slice(4, 12)  # after the head of CDR: the seconds and nanoseconds of a leading header
-HEADER = "std_msgs/msg/Header"
 
 
 class Conversion:
@@ -211,9 +214,6 @@ def _one_of(type_name: str, value: Any) -> Any:
     if type_name in ("float", "double"):
         return math.nan if value is None else float(value)
     return bytes([value]) if type_name == "octet" else value
-
-
-MAX_REMEMBERED = 64  # messages of a topic; an echo arrives within milliseconds
 
 
 class Echoes:

@@ -9,6 +9,8 @@ from hostlink.core.messages.ros2_names import is_ros2_name, ros1_type, ros2_type
 
 GLOBAL = frozenset({"/tf", "/tf_static", "/clock", "/diagnostics"})  # one for all namespaces, as in ROS 2
 
+STATIC_DEPTH = 100  # transforms of other nodes that never change: each is sent once
+
 
 def ros2_name(name: str) -> str:
     """The name of a topic or service for rclpy: relative, so that the node's namespace and remappings count."""
@@ -18,9 +20,6 @@ def ros2_name(name: str) -> str:
 def parameter_name(name: str) -> str:
     """`/robot_0/gain` as a parameter of the node: `robot_0.gain`."""
     return name.strip("/").replace("/", ".")
-
-
-STATIC_DEPTH = 100  # transforms of other nodes that never change: each is sent once
 
 
 def publisher_qos(topic: str, *, is_latched: bool) -> Qos:

@@ -46,6 +46,10 @@ from hostlink.errors import BadPayload, HostlinkError
 if TYPE_CHECKING:
     from hostlink.components.ros2.node import Ros2Node
 
+INBOX_DEPTH = 64  # messages of a topic from ROS 2 that wait to be sent
+COMMAND_INBOX_DEPTH = 8  # of all publishers of a velocity topic
+CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
+
 
 def definitions(type_name: str) -> dict[str, Fields]:
     """The fields of a message type and of all types in it, as the installed classes have them.
@@ -61,11 +65,6 @@ def definitions(type_name: str) -> dict[str, Fields]:
             found[name] = ros2_fields(load_type(name).get_fields_and_field_types())
             wanted += nested_types(found[name])
     return found
-
-
-INBOX_DEPTH = 64  # messages of a topic from ROS 2 that wait to be sent
-COMMAND_INBOX_DEPTH = 8  # of all publishers of a velocity topic
-CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
 
 
 class Routes:

@@ -51,6 +51,13 @@ _UNSTEADY: dict[str, Any] = {  # a change of these alone waits for the next inte
     "signal_dbm": None,
 }  # fmt: skip
 
+READ_S = 2.0  # poses are sent at their own rate for so long after one was read
+MAX_WAITING = 4  # states of one daemon; the newest counts
+
+TICK_S = 0.1
+
+FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have been dropped
+
 
 class FleetStates:
     """States of the robots here, sent each second and after each change; poses by another key while they are read."""
@@ -117,10 +124,6 @@ class FleetStates:
 
     def _note_readers(self, is_read: bool) -> None:
         self._is_live = is_read
-
-
-READ_S = 2.0  # poses are sent at their own rate for so long after one was read
-MAX_WAITING = 4  # states of one daemon; the newest counts
 
 
 class FleetRobots:
@@ -262,9 +265,7 @@ def _log_duplicate(name: str, hosts: Iterable[str]) -> None:
         log.warning("fleet.duplicate_name_found", robot=name, hosts=[printable(host) for host in hosts])
 
 
-TICK_S = 0.1
 _UNHEARD = "Robots there are shown as last seen; a stop or a lock is in force there when the host is seen again"
-FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have been dropped
 
 
 class FleetMemory:

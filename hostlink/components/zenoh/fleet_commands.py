@@ -48,6 +48,8 @@ MAX_DRIVERS = 64  # of one daemon; over it the driver leaves whose last command 
 IDLE_S = 10.0  # a driver without a command for so long holds no lease
 _PUBLISHER = 0  # the number of the one who publishes; drivers begin at 1
 
+MAX_WAITING = 4096  # commands without an answer; the oldest is forgotten
+
 
 @dataclass(slots=True, eq=False)
 class _FleetDriver:
@@ -217,7 +219,6 @@ def _refusal(number: int, error: HostlinkError, epoch: int | None) -> FleetAnswe
 
 log = structlog.get_logger()
 
-MAX_WAITING = 4096  # commands without an answer; the oldest is forgotten
 _TEXT = 200
 
 

@@ -27,6 +27,10 @@ MAX_REQUEST_BYTES = 4096
 _DIGITS = 6  # micrometres
 _TEXT_CHARS = 200
 
+MALFORMED = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # of a decoder; also over a bound
+
+GROUP = "fleet"  # of its participants in the hub
+
 
 class Sender(NamedTuple):
     """Sender of a message: the daemon's name, and the id of its session, which is new after each start."""
@@ -311,11 +315,7 @@ STATE, LIVE = msgspec.json.Decoder(State), msgspec.json.Decoder(Live)
 TOPIC_LIST, ANSWER = msgspec.json.Decoder(TopicList), msgspec.json.Decoder(FleetAnswer)
 REQUEST: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)  # to one daemon
 STOP_REQUEST: msgspec.json.Decoder[StopRequest] = msgspec.json.Decoder(StopRequest)  # to all daemons
-MALFORMED = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # of a decoder; also over a bound
 encode = msgspec.json.Encoder().encode
-
-
-GROUP = "fleet"  # of its participants in the hub
 
 
 @dataclass(frozen=True, slots=True)

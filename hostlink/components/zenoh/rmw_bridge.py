@@ -51,6 +51,29 @@ GROUP = "rmw_zenoh"  # of all participants that stand for this graph
 MAX_CALLS_OF_CLIENT = 8  # under way at once, of one client and one service
 CALL_TIMEOUT_S = 30.0  # of a service of ROS 2
 
+MAX_PUBLISHERS = 1024  # participants
+MAX_PUBLISHERS_OF_SESSION = 128  # of one process
+MAX_GONE = MAX_PUBLISHERS  # tokens that are remembered; the one that left first is forgotten first
+NEW_S = 1.0  # after its token a publisher is new; later it may be in the middle of a motion
+MATCH_S = 3.0  # until Zenoh has connected a publisher and a subscription that know of each other
+FIRST_NUMBER = 1  # of the messages of a publisher
+OWN_TOPICS = frozenset({"/rosout", "/parameter_events"})  # that every node of ROS 2 publishes, for its own tools
+
+MAX_NESTED_BYTES = 32 * 1024  # of a message with lists of messages or texts, each of which costs time
+MAX_FLAT_BYTES = 1024 * 1024
+MAX_WAITING = 64  # messages of one publisher
+
+UNKNOWN: Final = "ros2.type_unknown"  # of most types of a large graph: robots here do not use them
+
+MAX_CALLED_SERVICES: Final = 256
+TROUBLE_INTERVAL_S: Final = 10.0
+SLICE_S: Final = 0.003  # of declarations: a hundred robots that come at once cost a second of Zenoh's
+NO_LOSS: Final = frozenset(  # counts of what was passed on, and of what has lines of its own
+    {"calls_from_ros2", "calls_to_ros2", "from_ros2", "refused", "to_ros2", "unlogged"}
+)
+REFUSED_NAME: Final = "ROS 2 allows letters, digits and _ in names"
+OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
+
 
 @dataclass(slots=True)
 class RmwNode:
@@ -252,21 +275,7 @@ class CalledService:
         raise ServiceFailed(self._name, "no answer from ROS 2")
 
 
-MAX_PUBLISHERS = 1024  # participants
-MAX_PUBLISHERS_OF_SESSION = 128  # of one process
-MAX_GONE = MAX_PUBLISHERS  # tokens that are remembered; the one that left first is forgotten first
-NEW_S = 1.0  # after its token a publisher is new; later it may be in the middle of a motion
-MATCH_S = 3.0  # until Zenoh has connected a publisher and a subscription that know of each other
-FIRST_NUMBER = 1  # of the messages of a publisher
-OWN_TOPICS = frozenset({"/rosout", "/parameter_events"})  # that every node of ROS 2 publishes, for its own tools
-
-MAX_NESTED_BYTES = 32 * 1024  # of a message with lists of messages or texts, each of which costs time
-MAX_FLAT_BYTES = 1024 * 1024
-MAX_WAITING = 64  # messages of one publisher
-
 log = structlog.get_logger()
-
-UNKNOWN: Final = "ros2.type_unknown"  # of most types of a large graph: robots here do not use them
 
 
 class RmwPublisher:
@@ -479,16 +488,6 @@ class RmwSubscription:
 def session_of(key: str) -> str:
     """The process whose token has this key."""
     return key.split("/")[2]
-
-
-MAX_CALLED_SERVICES: Final = 256
-TROUBLE_INTERVAL_S: Final = 10.0
-SLICE_S: Final = 0.003  # of declarations: a hundred robots that come at once cost a second of Zenoh's
-NO_LOSS: Final = frozenset(  # counts of what was passed on, and of what has lines of its own
-    {"calls_from_ros2", "calls_to_ros2", "from_ros2", "refused", "to_ros2", "unlogged"}
-)
-REFUSED_NAME: Final = "ROS 2 allows letters, digits and _ in names"
-OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
 
 
 _Declared = SubscriptionSpec | PublicationSpec | ServiceSpec

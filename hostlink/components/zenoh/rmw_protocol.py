@@ -34,6 +34,11 @@ OWN_ENCLAVE: Final = "/hostlink"  # of every hostlink's nodes: hosts know each o
 _NODE_PARTS: Final = 9
 _ENDPOINT_PARTS: Final = 13  # one more where a type has buffers; it is passed over
 
+LATCHED: Final = Qos(is_latched=True, depth=1)
+
+MAX_TOKENS: Final = 8192
+MAX_TOKENS_OF_SESSION: Final = 2048  # of one process; a node of ROS 2 has ten or more
+
 
 # -- names ------------------------------------------------------------------------------------------------------------
 
@@ -85,9 +90,6 @@ def decode_qos(text: str) -> Qos | None:
         is_latched=durability == _TRANSIENT_LOCAL,
         depth=None if kind == _KEEP_ALL else min(int(depth or 0), DEPTH_MAX) or DEFAULT_DEPTH,
     )
-
-
-LATCHED: Final = Qos(is_latched=True, depth=1)
 
 
 # -- signatures -------------------------------------------------------------------------------------------------------
@@ -213,9 +215,6 @@ def _parse_endpoint(kind: TokenKind, node: NodeToken, number: int, parts: list[s
 def _number(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() and len(text) <= 20 else None  # noqa: PLR2004 - a uint64's digits
 
-
-MAX_TOKENS: Final = 8192
-MAX_TOKENS_OF_SESSION: Final = 2048  # of one process; a node of ROS 2 has ten or more
 
 Subject = tuple[str, str]  # of messages: the topic, and its type
 

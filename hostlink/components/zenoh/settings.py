@@ -21,6 +21,21 @@ from hostlink.errors import ConfigError, LibraryMissing
 MAX_ROS_DOMAIN_ID = 232
 ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # part of a Zenoh key
 
+PREFIX = "hostlink "  # of the ids of these rules
+
+DEFAULTS: dict[str, object] = {
+    "transport/link/tx/lease": 1000,  # ms; a neighbour that is silent for so long is gone, and its tokens with it
+    "transport/link/tx/keep_alive": 4,  # in each lease
+    "transport/shared_memory/enabled": False,  # 65 MiB for what never is large
+}
+BLOCKED_US = 100_000  # a neighbour for whom a declaration or a query has to wait longer is cut off; a fifth of a lease
+TLS = "transport/link/tls"
+TLS_ONLY: dict[str, object] = {  # with an authority; a file that says otherwise is refused
+    "transport/link/protocols": ["tls"],  # Zenoh itself refuses every other one, in both directions
+    "scouting/multicast/enabled": False,
+    f"{TLS}/enable_mtls": True,  # who connects here shows a certificate, too
+}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZenohSettings:
@@ -60,7 +75,6 @@ class ZenohSettings:
             raise ValueError("zenoh.fleet_name must not be empty")
 
 
-PREFIX = "hostlink "  # of the ids of these rules
 _SHOWS = ("alive", "state", "live", "out", "stop", "answer")  # what every member of the fleet puts
 _MOVES = ("drive", "publish")
 _PUT = ("put", "delete")
@@ -125,18 +139,6 @@ def _rule(name: str, messages: Any, keys: Any, *, flow: str = "ingress") -> dict
     }
 
 
-DEFAULTS: dict[str, object] = {
-    "transport/link/tx/lease": 1000,  # ms; a neighbour that is silent for so long is gone, and its tokens with it
-    "transport/link/tx/keep_alive": 4,  # in each lease
-    "transport/shared_memory/enabled": False,  # 65 MiB for what never is large
-}
-BLOCKED_US = 100_000  # a neighbour for whom a declaration or a query has to wait longer is cut off; a fifth of a lease
-TLS = "transport/link/tls"
-TLS_ONLY: dict[str, object] = {  # with an authority; a file that says otherwise is refused
-    "transport/link/protocols": ["tls"],  # Zenoh itself refuses every other one, in both directions
-    "scouting/multicast/enabled": False,
-    f"{TLS}/enable_mtls": True,  # who connects here shows a certificate, too
-}
 GOSSIP, EXPIRATION = "scouting/gossip/enabled", f"{TLS}/close_link_on_expiration"
 
 

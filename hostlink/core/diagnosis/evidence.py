@@ -19,6 +19,8 @@ MIN_WALL_NS = (
 STEP_S = 0.5  # NTP slews smaller offsets (128 ms) and steps larger ones
 REMEMBERED_S = 30.0  # at least as long as any evidence
 
+RECENT_S = 30.0  # twelve time requests of a device: older trouble is over
+
 
 class HostClock:
     """Detector of steps of the host's wall clock, by comparison with the monotonic clock."""
@@ -73,8 +75,6 @@ UNSHARED = PortSharing()
 
 
 # -- evidence ---------------------------------------------------------------------------------------------------------
-
-RECENT_S = 30.0  # twelve time requests of a device: older trouble is over
 
 
 class EarlierLink(NamedTuple):

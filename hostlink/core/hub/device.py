@@ -51,6 +51,9 @@ from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkErro
 
 log = structlog.get_logger()
 
+MAX_PARAMETERS = 64  # answers that are kept; a name can be as long as a frame
+COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
+
 
 class ShownNames:
     """Names of one device's topics in the graph. They are in the robot's namespace if the robot has another name here.
@@ -98,8 +101,6 @@ _SIX_NUMBERS = (TWIST_TYPE, TWIST_STAMPED_TYPE)
 _HEADER = Field("header", "std_msgs/Header")
 _STAMP = struct.Struct("<4xII")  # seq, secs, nsecs
 EARLY_MESSAGES, EARLY_BYTES = 128, 65536  # three seconds of the project's robot
-MAX_PARAMETERS = 64  # answers that are kept; a name can be as long as a frame
-COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
 
 
 def endpoints_of(infos: Iterable[DeviceEndpoint]) -> list[Endpoint]:

@@ -26,16 +26,6 @@ STALE_AFTER_S = 10.0  # a robot that reconnects sooner has only rebooted, or its
 
 Status = dict[str, Any]  # a DiagnosticStatus, to be encoded; the name of the node is put before its name
 
-
-class Level(IntEnum):
-    """Level of a diagnostic_msgs/DiagnosticStatus."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-    STALE = 3
-
-
 WARNINGS = frozenset(  # the device works in spite of these; every other finding is an error
     {
         "boot_noise", "wrong_size", "buffer_too_small", "unknown_ids", "battery_low", "watchdog_restart", "weak_signal",
@@ -45,6 +35,19 @@ WARNINGS = frozenset(  # the device works in spite of these; every other finding
         "best_effort_lost", "messages_resent", "publishes_wait", "slow_loop",
     }
 )  # fmt: skip
+
+NODE = "hostlink"
+INTERVAL_S = 1.0
+ARRAY_STATUSES = 8  # of one array: a status takes about a tenth of a millisecond
+
+
+class Level(IntEnum):
+    """Level of a diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
 
 
 def level_of(findings: Iterable[Finding]) -> Level:
@@ -127,9 +130,6 @@ def _line(found: Finding) -> str:
 
 
 TOPIC, TYPE = "/diagnostics", "diagnostic_msgs/DiagnosticArray"
-NODE = "hostlink"
-INTERVAL_S = 1.0
-ARRAY_STATUSES = 8  # of one array: a status takes about a tenth of a millisecond
 
 
 class DiagnosticsTopic:

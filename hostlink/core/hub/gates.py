@@ -50,6 +50,12 @@ from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKi
 
 log = structlog.get_logger()
 
+TICK_S = 0.05  # between two steps of a ramp; the end of a lease is a step, too
+MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop must not wait for them
+FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
+MAX_GUARDED = 16  # velocity topics of a device that the guardian stops; each is a record to it
+ENDING = "hostlink is stopping and accepts no commands"
+
 
 class Guard(Protocol):
     """Interface of the guardian. Its methods do not wait and raise nothing."""
@@ -96,13 +102,6 @@ class Refusals:
             self.lines = Budget()
         if counts := self.lines.due("refused", loop_time_s()):
             log.warning("robot.unreachable", robot=robot, cause=self.cause, **counts)
-
-
-TICK_S = 0.05  # between two steps of a ramp; the end of a lease is a step, too
-MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop must not wait for them
-FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
-MAX_GUARDED = 16  # velocity topics of a device that the guardian stops; each is a record to it
-ENDING = "hostlink is stopping and accepts no commands"
 
 
 class VelocityTarget(ABC):

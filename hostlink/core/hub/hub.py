@@ -29,6 +29,11 @@ from hostlink.core.runtime.loop_time import loop_time_s
 
 log = structlog.get_logger()
 
+STOP_REPEATS = 3  # a single stop can be lost on a radio
+STOP_INTERVAL_S = 0.05
+SHUTDOWN_TIMEOUT_S = 0.5
+LOG_INTERVAL_S = 10.0  # between two lines about dropped log lines
+
 
 @dataclass(frozen=True, slots=True)
 class Listening:
@@ -37,12 +42,6 @@ class Listening:
     tcp: tuple[str, int] | None = None
     udp: tuple[str, int] | None = None
     micro_ros: tuple[str, ...] = ()  # for micro-ROS boards: "udp://127.0.0.1:8888"
-
-
-STOP_REPEATS = 3  # a single stop can be lost on a radio
-STOP_INTERVAL_S = 0.05
-SHUTDOWN_TIMEOUT_S = 0.5
-LOG_INTERVAL_S = 10.0  # between two lines about dropped log lines
 
 
 class Hub(Shared):

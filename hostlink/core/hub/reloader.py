@@ -22,6 +22,9 @@ log = structlog.get_logger()
 
 ROBOT = ("address", "devices", "command_device", "kinematics", "wheel_radius_m", *SETTINGS, *LIMITS)
 
+READ_TIMEOUT_S = 10.0  # 20,000 robots take 2 to 4 s on a busy machine; longer waits are for a disk or a network
+MAX_LOGGED = 50  # settings in a line of the log
+
 
 def places_of(config: Config) -> Places:
     """Return the configured addresses of robots, and check their limits. With thousands of robots, call it in a thread.
@@ -101,9 +104,6 @@ def _parts(part: Any) -> dict[str, Any] | None:
     tables = found.pop("component_settings", {})  # each has a name of its own
     return {**found, **tables}
 
-
-READ_TIMEOUT_S = 10.0  # 20,000 robots take 2 to 4 s on a busy machine; longer waits are for a disk or a network
-MAX_LOGGED = 50  # settings in a line of the log
 
 Read = Callable[[], Config]
 Prepare = Callable[[Config], Callable[[], None]]  # checks settings in a thread; returns the function that applies them

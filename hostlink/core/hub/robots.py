@@ -44,6 +44,8 @@ log = structlog.get_logger()
 
 MAX_AWAY = 64  # disconnected robots that are not configured
 
+MAX_ROBOTS = 4096  # connected or locked robots, which are never forgotten; further ones are refused
+
 
 class RetentionPolicy:
     """Retention of disconnected robots, in the order in which they disconnected. Times are monotonic, in seconds."""
@@ -78,9 +80,6 @@ class RetentionPolicy:
     def next_s(self) -> float:
         """Time at which the next name is forgotten; infinite if there is none."""
         return next(iter(self._left_at_s.values()), math.inf) + self._forget_after_s
-
-
-MAX_ROBOTS = 4096  # connected or locked robots, which are never forgotten; further ones are refused
 
 
 class Robots:

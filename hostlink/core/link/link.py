@@ -32,6 +32,11 @@ PIECE_S = 0.0005  # limit for one piece before others have their turn; a piece o
 # Limit for more than FIRST_BYTES: half a turn of all links, so that a flood delays no other link.
 LARGE_PIECE_S = 0.0001
 
+TROUBLE_INTERVAL_S = 10.0  # damage on the wire is counted and logged at this interval
+
+SOON_S = 0.001  # granularity of a timer: work due within it is done
+AGAIN_S = 0.1  # retry interval for work that was postponed
+
 
 class PieceSize:
     """Size of the next piece of one link. It is halved after an expensive piece and doubled after a cheap one."""
@@ -53,8 +58,6 @@ class PieceSize:
 # -- trouble ----------------------------------------------------------------------------------------------------------
 
 log = structlog.get_logger()
-
-TROUBLE_INTERVAL_S = 10.0  # damage on the wire is counted and logged at this interval
 
 
 class Trouble:
@@ -86,8 +89,6 @@ class Trouble:
 
 # -- link -------------------------------------------------------------------------------------------------------------
 
-SOON_S = 0.001  # granularity of a timer: work due within it is done
-AGAIN_S = 0.1  # retry interval for work that was postponed
 _NO_CONTEXT = contextvars.Context()
 
 

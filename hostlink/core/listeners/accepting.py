@@ -42,6 +42,19 @@ from hostlink.core.transport.udp import Datagram, UdpPort, UdpTransport
 
 log = structlog.get_logger()
 
+PAUSE_S = 5.0  # a refused device reconnects at once, when there is still no room
+
+OPENED_A_SECOND = 20.0  # new sessions of each kind, and burst size: each costs about a millisecond
+# Answers without a session, of each kind. They are a fifth longer than what asks for them, with the headers of both: to
+# forged addresses no more than 11 kB/s.
+PINGS_A_SECOND = 200.0
+RESUME_S = 0.1  # between two remembered devices: half of the openings are left to others
+INVITE_S = 2.0  # the interval at which a link repeats an unanswered topic request
+
+BITS_A_BYTE = 10  # 8N1
+RETRY_S = 1.0  # interval of the search for a removed port
+SHARING_S = 5.0  # interval of the search for other programs at a port, which reads some thousand links of /proc
+
 # -- admission --------------------------------------------------------------------------------------------------------
 
 
@@ -119,8 +132,6 @@ def is_within(address: str, networks: Sequence[ipaddress.IPv4Network | ipaddress
 
 
 # -- acceptors --------------------------------------------------------------------------------------------------------
-
-PAUSE_S = 5.0  # a refused device reconnects at once, when there is still no room
 
 
 class _Acceptor:
@@ -215,13 +226,6 @@ class TcpAcceptor(_Acceptor):
 
 
 # -- udp acceptor -----------------------------------------------------------------------------------------------------
-
-OPENED_A_SECOND = 20.0  # new sessions of each kind, and burst size: each costs about a millisecond
-# Answers without a session, of each kind. They are a fifth longer than what asks for them, with the headers of both: to
-# forged addresses no more than 11 kB/s.
-PINGS_A_SECOND = 200.0
-RESUME_S = 0.1  # between two remembered devices: half of the openings are left to others
-INVITE_S = 2.0  # the interval at which a link repeats an unanswered topic request
 
 
 @dataclass(frozen=True, slots=True)
@@ -366,10 +370,6 @@ class UdpAcceptor(_Acceptor):
 
 
 # -- serial ports -----------------------------------------------------------------------------------------------------
-
-BITS_A_BYTE = 10  # 8N1
-RETRY_S = 1.0  # interval of the search for a removed port
-SHARING_S = 5.0  # interval of the search for other programs at a port, which reads some thousand links of /proc
 
 
 async def serve_serial(

@@ -22,6 +22,14 @@ _DEEPER: Final = ("*/*/{0}/*.{0}", "*/*/*/{0}/*.{0}")  # the layout of a catkin 
 SUFFIXES: Final = tuple(f".{kind}" for kind in KINDS)
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
+CLOCK: Final = "/clock"
+CLOCK_TYPE: Final = "rosgraph_msgs/Clock"
+
+DEFINITIONS: Final = Path(__file__).with_name("definitions")
+STANDARD: Final = Path(__file__).with_name("noetic.txt")  # written by tools/message_definitions.py
+NESTING_MAX: Final = 32  # ROS has no message nested deeper than 6
+MESSAGE_BYTES_MAX: Final = 65535  # the longest payload of a rosserial frame
+
 
 def find_definitions(folder: Path, suffix: str) -> dict[str, Path]:
     """Return the files in the folder's packages by type name: <package>/msg/Type.msg or <package>/Type.msg."""
@@ -169,8 +177,6 @@ class _Builder:
 
 # -- time -------------------------------------------------------------------------------------------------------------
 
-CLOCK: Final = "/clock"
-CLOCK_TYPE: Final = "rosgraph_msgs/Clock"
 _TIME = struct.Struct("<II")
 
 
@@ -189,11 +195,6 @@ def to_time(stamp_ns: int) -> dict[str, int]:
 
 
 # -- catalog ----------------------------------------------------------------------------------------------------------
-
-DEFINITIONS: Final = Path(__file__).with_name("definitions")
-STANDARD: Final = Path(__file__).with_name("noetic.txt")  # written by tools/message_definitions.py
-NESTING_MAX: Final = 32  # ROS has no message nested deeper than 6
-MESSAGE_BYTES_MAX: Final = 65535  # the longest payload of a rosserial frame
 
 
 @functools.cache

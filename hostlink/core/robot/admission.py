@@ -89,6 +89,21 @@ from hostlink.errors import RefusalKind
 
 DRIFT = 0.001  # two clocks drift far less; a route that became slower for good is accepted at this pace
 
+LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
+MAX_SOURCES = 64  # that one robot keeps apart
+BUNCH_S = 0.01  # commands that waited for the network arrive together
+SLOW_S = 4 * BUNCH_S  # shortest usual interval at which that is told: a faster source often sends two together
+INTERVAL_WEIGHT = 1 / 8  # of the newest interval
+UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
+EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
+EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
+NOT_PLANAR = "a robot moves in the plane: send 0 as linear.z, angular.x and angular.y"
+
+V = TypeVar("V", bound=AnyVelocity)
+
+MAX_EARLIER = 1024  # commands to what does not exist, of the last lease
+ANY_SOURCE: Final = object()  # among the sources that commanded earlier: there were more than are known
+
 
 class Freshness:
     """Delay of a message beyond the quickest of its kind, by the sender's clock and ours."""
@@ -103,19 +118,6 @@ class Freshness:
         self._quickest_s = min(difference_s, self._quickest_s + DRIFT * (now_s - self._updated_at_s))
         self._updated_at_s = now_s
         return difference_s - self._quickest_s
-
-
-LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
-MAX_SOURCES = 64  # that one robot keeps apart
-BUNCH_S = 0.01  # commands that waited for the network arrive together
-SLOW_S = 4 * BUNCH_S  # shortest usual interval at which that is told: a faster source often sends two together
-INTERVAL_WEIGHT = 1 / 8  # of the newest interval
-UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
-EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
-EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
-NOT_PLANAR = "a robot moves in the plane: send 0 as linear.z, angular.x and angular.y"
-
-V = TypeVar("V", bound=AnyVelocity)
 
 
 class Command(NamedTuple, Generic[V]):
@@ -172,10 +174,6 @@ class Resumption:
             self._until_s = came_s + LEASE_S
         self._came_s = came_s
         return came_s < self._until_s
-
-
-MAX_EARLIER = 1024  # commands to what does not exist, of the last lease
-ANY_SOURCE: Final = object()  # among the sources that commanded earlier: there were more than are known
 
 
 @dataclass(slots=True)

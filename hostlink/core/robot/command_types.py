@@ -46,6 +46,8 @@ _LARGEST_FLOAT32: Final = 3.4e38
 _RANGES: Final = {"f": (-_LARGEST_FLOAT32, _LARGEST_FLOAT32), "d": (-math.inf, math.inf)}
 _FEWEST_STEPS: Final = 5  # whole numbers between rest and the fastest speed; with fewer a speed is off by a tenth
 
+T = TypeVar("T", str, bytes)
+
 
 class TopicType(NamedTuple):
     """A topic by the name that its device uses, and its type."""
@@ -354,9 +356,6 @@ class JoyCommand(CommandType):
             for axis, full in zip(self._axes, self._full, strict=True)
         ]
         return Published(PlanarVelocity(*speeds).twist, stamp_ns)
-
-
-T = TypeVar("T", str, bytes)
 
 
 class Words(NamedTuple, Generic[T]):

@@ -24,6 +24,10 @@ from hostlink.core.robot.kinematics import Drive, Pose, wrap_angle
 from hostlink.core.robot.readings import POSE_TYPES, READERS, VELOCITY_TYPES, Flaw, OdometryReading
 from hostlink.core.robot.wheel_feedback import WheelFeedback, WheelSettings
 
+GIVEN = 16  # poses that are kept: the board may send them back later
+SENT_BACK = 4  # different ones in a row: fewer may be a coincidence
+ROUNDING = 1e-4  # m and rad: float32 rounds to 1e-5 within 100 m
+
 
 class FeedbackKind(StrEnum):
     """Knowledge of a robot's motion."""
@@ -43,9 +47,6 @@ class FeedbackSettings:
 
 
 RECOGNISED = FeedbackSettings()
-GIVEN = 16  # poses that are kept: the board may send them back later
-SENT_BACK = 4  # different ones in a row: fewer may be a coincidence
-ROUNDING = 1e-4  # m and rad: float32 rounds to 1e-5 within 100 m
 _MEASURED = re.compile(r"odom|vel|speed|twist|motion", re.IGNORECASE)
 _COMMANDED = re.compile(r"cmd|command|target|goal|set|ref|desired|wanted|joy|rc\d|teleop", re.IGNORECASE)
 

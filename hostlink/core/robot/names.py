@@ -31,6 +31,15 @@ ANSWER_S = 0.5  # a device answers a request for its topics in a turn of its loo
 USUAL_ANSWERS = 3  # a device with a slow loop answers in its next turn
 _KEPT, _ENOUGH = 16, 8  # gaps; their median tolerates a few long ones
 
+PLAYED = "a recording"  # the address of all recordings that are played
+UNNAMED = "robot"  # with a number: the name of a robot that nothing names
+MAX_REMEMBERED = 4096  # names; the one that was used least recently is forgotten first
+
+LATE_S = 0.1  # what was on its way when the other device announced its topics
+ALIVE_S = 0.25  # a link that has died delivers what was on its way at once, after an outage also later
+AGAIN_S = 10.0  # two that count each other as dead, because their loops are slow, do so within a few seconds
+MOVING_S = 3.0  # by then a link that died has been ended for its silence
+
 
 class Presence:
     """Presence of one link. Times are monotonic, in seconds."""
@@ -78,9 +87,6 @@ class Presence:
 
 Key = TypeVar("Key")
 
-PLAYED = "a recording"  # the address of all recordings that are played
-UNNAMED = "robot"  # with a number: the name of a robot that nothing names
-MAX_REMEMBERED = 4096  # names; the one that was used least recently is forgotten first
 _NUMBERED = re.compile(rf"{UNNAMED}(_[0-9]+)*", re.ASCII)  # names that robots without a name get, or announce
 
 
@@ -358,11 +364,6 @@ def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None
 
 
 _PLAYED_TYPE = "hostlink_msgs/PlayedRecording"  # of a topic that only a recording has which is played as a device
-
-LATE_S = 0.1  # what was on its way when the other device announced its topics
-ALIVE_S = 0.25  # a link that has died delivers what was on its way at once, after an outage also later
-AGAIN_S = 10.0  # two that count each other as dead, because their loops are slow, do so within a few seconds
-MOVING_S = 3.0  # by then a link that died has been ended for its silence
 
 
 @dataclass(frozen=True, slots=True)

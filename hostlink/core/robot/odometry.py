@@ -11,6 +11,24 @@ from hostlink.core.robot.readings import FARTHEST_M
 from hostlink.core.robot.velocity import PlanarVelocity
 from hostlink.core.runtime.units import NS_PER_S
 
+WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
+CLOSEST_S = 0.005  # of those that are kept of a device that publishes faster
+SHORTEST_S = 0.05  # poses that a network delivered together carry no speed
+SHORTEST_SPAN_S = 0.1  # between poses of one read, in truth
+
+BUNCHED = 1.5  # messages a bunch: fewer are single delays
+TOGETHER = 1 / 8  # of the period between two messages of a bunch: a device that leaves some out sends none so close
+LONGEST_S = 2.0  # over a longer silence anything may have happened, a restart too
+KEPT_RATE_S = 1.0  # odometry is published ten times a second and more, and a radio delays it
+RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be commanded, and what a late pose adds
+SHAKE_M = 0.02
+SHAKE_RAD = 0.05
+RESET_WAIT_S = 5.0  # for the first pose after a reset: the longest stall of a network
+CLOCK_SET_NS = 10_000_000_000  # a stamp so far back is of a host whose clock was set; smaller steps are ignored
+
+LEAP = PlanarVelocity(10.0, yaw_rad_s=20.0)  # faster than any small robot: the odometry was set, or bytes are damaged
+FASTEST = PlanarVelocity(1.0, yaw_rad_s=4.0)  # the limits of a robot without configuration
+
 
 class WheelWay(NamedTuple):
     """Distance that each wheel rolled between two poses, by the robot's own numbers."""
@@ -62,24 +80,7 @@ def wheel_way(before: Pose, after: Pose, separation_m: float) -> WheelWay:
     return WheelWay(arc_m - turning_m, arc_m + turning_m, dy_m * cos - dx_m * sin)
 
 
-WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
-CLOSEST_S = 0.005  # of those that are kept of a device that publishes faster
-SHORTEST_S = 0.05  # poses that a network delivered together carry no speed
-SHORTEST_SPAN_S = 0.1  # between poses of one read, in truth
 MAX_BUNCHES, FEWEST_BUNCHES = 8, 2  # of messages, from which their period is measured
-BUNCHED = 1.5  # messages a bunch: fewer are single delays
-TOGETHER = 1 / 8  # of the period between two messages of a bunch: a device that leaves some out sends none so close
-LONGEST_S = 2.0  # over a longer silence anything may have happened, a restart too
-KEPT_RATE_S = 1.0  # odometry is published ten times a second and more, and a radio delays it
-RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be commanded, and what a late pose adds
-SHAKE_M = 0.02
-SHAKE_RAD = 0.05
-RESET_WAIT_S = 5.0  # for the first pose after a reset: the longest stall of a network
-CLOCK_SET_NS = 10_000_000_000  # a stamp so far back is of a host whose clock was set; smaller steps are ignored
-
-
-LEAP = PlanarVelocity(10.0, yaw_rad_s=20.0)  # faster than any small robot: the odometry was set, or bytes are damaged
-FASTEST = PlanarVelocity(1.0, yaw_rad_s=4.0)  # the limits of a robot without configuration
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,16 @@ from hostlink.errors import BadPayload
 
 POSE_TYPE, ODOMETRY_TYPE = "geometry_msgs/Pose2D", "nav_msgs/Odometry"
 
+FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
+
+EXACT = 1e-3  # of a quaternion that has only z: half a turn, if its length is 1
+
+POSE_TYPES = (  # that say where the robot is; those that also have a velocity, or a frame, first
+    ODOMETRY_TYPE, POSE_TYPE, "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped",
+    "geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose",
+)  # fmt: skip
+VELOCITY_TYPES = ("geometry_msgs/TwistWithCovarianceStamped", TWIST_STAMPED_TYPE, TWIST_TYPE)
+
 
 class Flaw(StrEnum):
     """Flaw of one message. The first six leave no pose."""
@@ -52,9 +62,7 @@ class OdometryReading(NamedTuple):
 
 Reader = Callable[[bytes], OdometryReading]
 
-FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
 SHORTEST_QUATERNION, LONGEST_QUATERNION = 0.9, 1.1  # float32 rounds to 1e-7, four decimals in a text to 1e-4
-EXACT = 1e-3  # of a quaternion that has only z: half a turn, if its length is 1
 _POSE2D = struct.Struct("<3d")
 _HEADER = struct.Struct("<4xIII")  # seq, secs, nsecs, length of frame_id
 _LENGTH = struct.Struct("<I")
@@ -173,8 +181,3 @@ READERS: dict[str, Reader] = {
     POSE_TYPE: read_pose,
     **{type_name: functools.partial(_read, type_name, parts) for type_name, parts in _PARTS.items()},
 }
-POSE_TYPES = (  # that say where the robot is; those that also have a velocity, or a frame, first
-    ODOMETRY_TYPE, POSE_TYPE, "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped",
-    "geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose",
-)  # fmt: skip
-VELOCITY_TYPES = ("geometry_msgs/TwistWithCovarianceStamped", TWIST_STAMPED_TYPE, TWIST_TYPE)

@@ -27,6 +27,11 @@ Text = Annotated[str, msgspec.Meta(max_length=256)]
 Texts = Annotated[tuple[Text, ...], msgspec.Meta(max_length=_MAX_NAMES)]
 Priority = Annotated[int, msgspec.Meta(ge=0, le=MAX_PRIORITY)]
 
+#: What is not known of a robot whose device is not connected.
+DEVICE_AWAY: dict[str, Any] = {
+    "battery_v": None, "battery_percent": None, "signal_dbm": None, "device_errors": (), "firmware": None,
+}  # fmt: skip
+
 
 class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One robot at one moment. A field is None where its value is not known, or where the robot lacks it."""
@@ -59,12 +64,6 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     signal_dbm: int | None = None  # of its device's WiFi
     device_errors: Texts = ()  # the codes of what `hostlink doctor` finds wrong, the likeliest cause first
     firmware: Text | None = None  # name and version, as its device logs them
-
-
-#: What is not known of a robot whose device is not connected.
-DEVICE_AWAY: dict[str, Any] = {
-    "battery_v": None, "battery_percent": None, "signal_dbm": None, "device_errors": (), "firmware": None,
-}  # fmt: skip
 
 
 class BatteryReading(NamedTuple):

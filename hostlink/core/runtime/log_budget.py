@@ -12,6 +12,10 @@ LOG_INTERVAL_S = 10.0  # between two lines of one kind: a refused peer tries aga
 MAX_KINDS = 64  # with counts each; all further ones are the kind "others"
 OTHERS = "others"
 
+BURST_LINES = 500  # fifty robots connect from one address
+RATE_HZ = 10.0
+MAX_NAMED = 1024  # peers whose refused lines are counted apart
+
 
 class Budget:
     """Rate limit of repeated lines: the first of a kind is due at once, then one in LOG_INTERVAL_S with the counts."""
@@ -30,11 +34,6 @@ class Budget:
             return Counter()
         self._due_s[kind] = now_s + LOG_INTERVAL_S
         return self._since.pop(kind)
-
-
-BURST_LINES = 500  # fifty robots connect from one address
-RATE_HZ = 10.0
-MAX_NAMED = 1024  # peers whose refused lines are counted apart
 
 
 class LogBudget:

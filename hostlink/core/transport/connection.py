@@ -13,6 +13,9 @@ from hostlink.core.transport.base import CLOSE_TIMEOUT_S, READ_BYTES
 _INTO = bytearray(READ_BYTES)  # shared by all connections: data is copied out before the next one reads
 _VIEW = memoryview(_INTO)
 
+# Seconds, seconds, probes: a dead peer is detected within 11 s.
+KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}
+
 
 class BufferedConnection(asyncio.BufferedProtocol):
     """Protocol of one connection.
@@ -210,10 +213,6 @@ class StreamTransport(BufferedConnection):
 
     def _abort(self) -> None:
         self.transport.abort()
-
-
-# Seconds, seconds, probes: a dead peer is detected within 11 s.
-KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}
 
 
 def set_options(connection: socket.socket, *, send_bytes: int, receive_bytes: int, user_timeout_ms: int) -> None:

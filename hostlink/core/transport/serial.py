@@ -27,6 +27,11 @@ from hostlink.core.transport.port_users import is_running, users_of
 BY_ID = Path("/dev/serial/by-id")
 BY_PATH = Path("/dev/serial/by-path")
 
+DTR_PULSE_S = 0.1  # the boards' capacitor needs a tenth of this
+
+TTY_BYTES = 4095  # most that Linux returns in one read of a port; the rest waits in the driver
+LEAVE_CHECK_S = 0.01  # 10 ms correspond to 58 bytes at 57600 baud
+
 
 def find_port(config: SerialConfig) -> str:
     """Return the path of the configured port.
@@ -99,10 +104,7 @@ def _listed(names: Iterable[str]) -> str:
 
 # -- serial -----------------------------------------------------------------------------------------------------------
 
-DTR_PULSE_S = 0.1  # the boards' capacitor needs a tenth of this
 _CFLAG = 2  # index in the result of tcgetattr
-TTY_BYTES = 4095  # most that Linux returns in one read of a port; the rest waits in the driver
-LEAVE_CHECK_S = 0.01  # 10 ms correspond to 58 bytes at 57600 baud
 _BUSY = (errno.EBUSY, errno.EAGAIN)
 _ADVICE = {
     errno.EBUSY: "another program has it open",

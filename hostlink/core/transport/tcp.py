@@ -22,6 +22,12 @@ from hostlink.errors import ConfigError
 
 STALL_S = 0.4  # longer than a peer may delay an acknowledgement (lwIP on an ESP8266: 0.25 s)
 
+SEND_BUFFER_BYTES = 8192  # bounds old commands in the kernel, where they cannot be replaced
+RECEIVE_BUFFER_BYTES = 65536  # bounds how late a device's data may be during a flood
+STALL_POLL_S = 0.01
+CHECK_S = 0.05  # between looks for unacknowledged bytes: STALL_S is eight of them
+USER_TIMEOUT_MS = 5000  # the peer is gone when sent data stays unacknowledged for longer
+
 
 class Stall:
     """Detector of a stalled peer, from the number of sent and of unacknowledged bytes."""
@@ -46,11 +52,6 @@ class Stall:
 
 _I32 = struct.Struct("=i")
 _RTT_AT = 68  # offset of tcpi_rtt, in microseconds, in Linux's struct tcp_info
-SEND_BUFFER_BYTES = 8192  # bounds old commands in the kernel, where they cannot be replaced
-RECEIVE_BUFFER_BYTES = 65536  # bounds how late a device's data may be during a flood
-STALL_POLL_S = 0.01
-CHECK_S = 0.05  # between looks for unacknowledged bytes: STALL_S is eight of them
-USER_TIMEOUT_MS = 5000  # the peer is gone when sent data stays unacknowledged for longer
 
 
 @dataclass(frozen=True, slots=True)

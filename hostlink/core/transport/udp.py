@@ -29,6 +29,19 @@ RETRY_S = 0.05
 
 HEADER_BYTES = 28  # IPv4 and UDP header of each datagram
 
+RECEIVE_BUFFER_BYTES = 65536  # of one socket, in the kernel; datagrams above it are lost
+NEW_DATAGRAMS_A_TURN = 16  # without a session; together they cost a tenth of a millisecond
+
+LONGEST_BYTES = 65507  # payload of a datagram
+
+MAX_DATAGRAM_BYTES = 1452  # to a device: passes Ethernet and WiFi unfragmented, also over IPv6 (1500 - 40 - 8)
+DATAGRAMS_A_TURN = 4  # per device and turn of the loop: a robot sends tens a second
+PATIENCE_S = 1.0  # wait for room in the kernel: a command that waited longer is expired
+
+# A protocol that answers each datagram with two short ones, while its device introduces itself, needs some bytes more
+# than it gets. With OPENED_A_SECOND of the acceptor it is 20 kB/s to forged addresses.
+CREDIT_BYTES = 1024
+
 
 class Allowance:
     """Byte allowance of an unverified address: no more is sent to it than came from it, with and without headers.
@@ -62,11 +75,8 @@ class Allowance:
 
 # -- port -------------------------------------------------------------------------------------------------------------
 
-RECEIVE_BUFFER_BYTES = 65536  # of one socket, in the kernel; datagrams above it are lost
-NEW_DATAGRAMS_A_TURN = 16  # without a session; together they cost a tenth of a millisecond
 _IP_PKTINFO = 8  # Linux value; Python has no constant for it
 _ANCILLARY_BYTES = socket.CMSG_SPACE(20)  # size of in6_pktinfo, the longer one
-LONGEST_BYTES = 65507  # payload of a datagram
 _INTO = bytearray(LONGEST_BYTES + 1)  # shared by all sockets: data is copied out before the next one reads
 _VIEW = memoryview(_INTO)
 
@@ -241,13 +251,7 @@ def _set_options(made: socket.socket) -> None:
 
 # -- transport --------------------------------------------------------------------------------------------------------
 
-MAX_DATAGRAM_BYTES = 1452  # to a device: passes Ethernet and WiFi unfragmented, also over IPv6 (1500 - 40 - 8)
-DATAGRAMS_A_TURN = 4  # per device and turn of the loop: a robot sends tens a second
-PATIENCE_S = 1.0  # wait for room in the kernel: a command that waited longer is expired
 _RESERVE = bytes(56)  # size of a velocity: the next frame is chosen when this much may be sent
-# A protocol that answers each datagram with two short ones, while its device introduces itself, needs some bytes more
-# than it gets. With OPENED_A_SECOND of the acceptor it is 20 kB/s to forged addresses.
-CREDIT_BYTES = 1024
 _ANSWER = bytes(16)  # the same of a protocol whose devices wait for an answer, which is shorter than what they ask
 
 

@@ -39,6 +39,20 @@ PAPER_CM: dict[int, NDArray[np.float64]] = {
     5: np.array([(0.0, 7.0), (2.0, 15.0), (6.0, 0.0)]),  # there and back
 }
 
+POLL_S = 0.1
+
+# The paper: "between 0-700 nothing happens", and from 700 a motor turns "consistently". It starts slightly lower.
+THRESHOLD_PWM = 650.0
+PAPER_WORLD = WorldParameters(
+    {
+        f"{side}.{name}": value
+        for side in ("left", "right")
+        for name, value in (("dead_zone_pwm", THRESHOLD_PWM), ("has_jump", 0.0))
+    }
+)
+
+TRAINING_RUNS = 5  # in each direction, as in UMBmark
+
 
 def axes_of(table: int) -> tuple[str, ...]:
     """Return the columns of a table."""
@@ -78,7 +92,6 @@ PATTERNS = (SQUARE_LEFT, SQUARE_RIGHT, LINE, BACK)
 
 # -- operator ---------------------------------------------------------------------------------------------------------
 
-POLL_S = 0.1
 _LEAST_POLL_S = 0.01
 _SETTLED_S = 1.5  # after the stop, until the paper's filter has followed
 _MOST_STOP_S = 15.0  # for a stop; then the operator continues
@@ -241,15 +254,6 @@ def _sample(robot: LabRobot) -> PoseSample:
 
 # -- experiments ------------------------------------------------------------------------------------------------------
 
-# The paper: "between 0-700 nothing happens", and from 700 a motor turns "consistently". It starts slightly lower.
-THRESHOLD_PWM = 650.0
-PAPER_WORLD = WorldParameters(
-    {
-        f"{side}.{name}": value
-        for side in ("left", "right")
-        for name, value in (("dead_zone_pwm", THRESHOLD_PWM), ("has_jump", 0.0))
-    }
-)
 _POOLED_RUNS = 40  # fewer are finished before a process has started
 
 
@@ -381,7 +385,6 @@ class Laboratory:
 
 # -- calibration ------------------------------------------------------------------------------------------------------
 
-TRAINING_RUNS = 5  # in each direction, as in UMBmark
 _TRAINING_SEED = 1000  # differs from the seeds of the runs that are measured afterwards
 _KINDS: dict[Pattern, RunKind] = {
     LINE: RunKind.STRAIGHT,

@@ -22,6 +22,16 @@ _MULTIPLIER = 6364136223846793005
 _MASK_64 = (1 << 64) - 1
 _MASK_32 = (1 << 32) - 1
 
+LOOP_S = 1 / 30
+FULL_PWM = 4095
+FULL_SPEED_TICKS_S = 280.0
+DEAD_BAND_PWM = 10
+LEAST_PWM = 700
+FILTER = 0.1  # weight of the newest speed
+S_PER_TICK_S = 0.018  # duration of a minimum-jerk curve, for each tick/s of its change
+
+FEEDBACK = 0.05  # share of the last output that the PID subtracts from its error
+
 
 class RandomNumbers:
     """Random numbers of a seed and a stream: PCG32 (O'Neill 2014, XSH-RR), normal numbers by Box and Muller."""
@@ -52,13 +62,6 @@ class RandomNumbers:
 
 # -- software of the paper --------------------------------------------------------------------------------------------
 
-LOOP_S = 1 / 30
-FULL_PWM = 4095
-FULL_SPEED_TICKS_S = 280.0
-DEAD_BAND_PWM = 10
-LEAST_PWM = 700
-FILTER = 0.1  # weight of the newest speed
-S_PER_TICK_S = 0.018  # duration of a minimum-jerk curve, for each tick/s of its change
 _INTEGRAL_LIMIT = 4095.0  # of the sum of errors, before Ki: too high to have an effect
 _WASHOUT_S = 1.0
 
@@ -96,7 +99,6 @@ def names() -> list[str]:
 
 
 LEFT_GAINS, RIGHT_GAINS = PidGains(23.0, 36.0, 0.1), PidGains(24.0, 35.0, 0.1)  # table 1 of the paper
-FEEDBACK = 0.05  # share of the last output that the PID subtracts from its error
 
 
 class PaperWheel:

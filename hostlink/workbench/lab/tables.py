@@ -27,6 +27,16 @@ from hostlink.workbench.sim.firmware_module import WorldParameters
 RADIUS_M = 0.045
 TRACK_M = 0.21
 
+# Radius and caster that bring line and squares together closest to the paper: docs/laboratory.md#which-world
+CASTER_WORLD = PAPER_WORLD.changed(
+    {
+        "left.radius_m": RADIUS_M * 1.005,
+        "right.radius_m": RADIUS_M * 1.005,
+        "caster_twist_rad": 0.055,
+        "caster_random": 0.4,
+    }
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Cause:
@@ -98,16 +108,6 @@ MISTAKES = tuple(Cause(name, _TITLES[name], mistake=name) for name in names())
 _Array = NDArray[np.float64]
 
 PAPER, REBUILT, OURS, CALIBRATED = "paper", "its software", "ours", "ours calibrated"
-
-# Radius and caster that bring line and squares together closest to the paper: docs/laboratory.md#which-world
-CASTER_WORLD = PAPER_WORLD.changed(
-    {
-        "left.radius_m": RADIUS_M * 1.005,
-        "right.radius_m": RADIUS_M * 1.005,
-        "caster_twist_rad": 0.055,
-        "caster_random": 0.4,
-    }
-)
 
 
 def tables(

@@ -41,6 +41,10 @@ CONNECT_S = 2.0  # for topics and parameters, which need half of it at 38400 bau
 _ANSWER_MS = 100  # interval at which the robot's requests are answered
 _FRAMES = 100_000  # the frames of an hour
 
+READING_ERROR_M = 0.002  # standard deviation of a distance read off the tape measure
+READING_ERROR_RAD = math.radians(0.5)  # standard deviation of an angle, and of the mark's direction
+LONGEST_S = 1800.0  # for one course: a robot that needs longer does not move
+
 
 class Retry(IntEnum):
     """Policy of the firmware for an incomplete frame, as in node.h."""
@@ -465,10 +469,6 @@ class FirmwareWorld:
 
 
 # -- courses ----------------------------------------------------------------------------------------------------------
-
-READING_ERROR_M = 0.002  # standard deviation of a distance read off the tape measure
-READING_ERROR_RAD = math.radians(0.5)  # standard deviation of an angle, and of the mark's direction
-LONGEST_S = 1800.0  # for one course: a robot that needs longer does not move
 
 
 class Person:

@@ -19,6 +19,8 @@ from hostlink.workbench.sim.firmware_world import Firmware, RobotKind, Simulated
 BAUD = 38400  # the paper's
 PASS_MS = 1000  # longest step of the firmware
 
+RUN_S = 3.0  # interval of the restarts of a faulty board
+
 
 class SimulatedRobot(Firmware, SimulatedBoard):
     """Firmware in real time. `advance` runs the firmware up to a time and returns the bytes that left its UART.
@@ -73,7 +75,6 @@ class SimulatedRobot(Firmware, SimulatedBoard):
 
 # -- faults -----------------------------------------------------------------------------------------------------------
 
-RUN_S = 3.0  # interval of the restarts of a faulty board
 _TEXT = b"left 12 right 13 battery 11.8 V\r\n"
 _TWIST_BYTES = 48  # the payload of a Twist, without the frame around it
 _READ_RATIO = 115200 / 57600  # the device at rosserial's usual rate, the reader at 115200

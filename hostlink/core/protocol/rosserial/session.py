@@ -54,6 +54,12 @@ DEFAULT_BUFFER_BYTES = 512  # rosserial's default
 MOST_FRAMES = 64  # in what is read at once: as many as 512 bytes hold, which bounds its cost
 KEPT_BYTES = 1024  # a few boot messages, or a hundred lines of plain text
 
+VERSION_1 = events.VersionRefused(
+    "version_1", "the device speaks rosserial of before 2013: rebuild it with a newer library"
+)
+NAME = "rosserial"
+CONTROL_FRAMES = ControlFrames(lambda wall_ns: encode(Id.TIME, encode_time(wall_ns)), TOPICS_REQUEST, STOP_REQUEST)
+
 
 class NonRosserialBytes:
     """The last skipped bytes, and whether they contained a frame of protocol version 1."""
@@ -72,13 +78,6 @@ class NonRosserialBytes:
             return False
         self.is_protocol_1 = True
         return True
-
-
-VERSION_1 = events.VersionRefused(
-    "version_1", "the device speaks rosserial of before 2013: rebuild it with a newer library"
-)
-NAME = "rosserial"
-CONTROL_FRAMES = ControlFrames(lambda wall_ns: encode(Id.TIME, encode_time(wall_ns)), TOPICS_REQUEST, STOP_REQUEST)
 
 
 class _Taker(NamedTuple):

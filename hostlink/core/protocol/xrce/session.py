@@ -95,6 +95,9 @@ ACK_S: Final = 0.005  # a client sends the next fragment sooner than this
 ANSWERS: Final = "answers"
 CREATED: Final = LITTLE | REUSE | REPLACE
 
+SLOT_SHIFT: Final = 14
+EXTRA_BYTES: Final = 12  # an ACKNACK or a HEARTBEAT with its padding
+
 
 class Quality:
     """Counts of one connection for a diagnosis, since the link opened."""
@@ -1307,8 +1310,6 @@ class XrceSession(DeviceSession):
 
 # -- ids --------------------------------------------------------------------------------------------------------------
 
-SLOT_SHIFT: Final = 14
-EXTRA_BYTES: Final = 12  # an ACKNACK or a HEARTBEAT with its padding
 _KIND_BITS: Final = 2
 
 

@@ -34,6 +34,8 @@ STRING_BYTES_MAX: Final = 1024  # a client's XML has at most 512
 SUBMESSAGES_MAX: Final = 1024  # of one message: their work is bounded
 NUMBERS: Final = 0x10000  # sequence numbers
 
+PROPERTIES_MAX: Final = 16
+
 
 class Kind(IntEnum):
     """Kind of a submessage."""
@@ -311,9 +313,6 @@ class Range(NamedTuple):
     first: int
     second: int
     stream: int
-
-
-PROPERTIES_MAX: Final = 16
 
 
 def decode_client(submessage: Submessage) -> ClientInfo | None:
