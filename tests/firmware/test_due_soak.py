@@ -66,7 +66,7 @@ async def settled(made: Board) -> dict[str, float]:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(SOAK_S + 90)
+@pytest.mark.timeout(SOAK_S + 300)  # the first test builds the firmware
 async def test_squares_without_a_lost_message_and_with_true_odometry() -> None:
     async with chain("cortex-m3", with_esp=True) as (daemon, made), aiohttp.ClientSession() as session:
         await daemon.read_log("robot.appeared")

@@ -81,13 +81,13 @@ stories = pytest.mark.parametrize(
 
 
 @stories
-@pytest.mark.timeout(60 + DRIVES)
+@pytest.mark.timeout(300 + DRIVES)
 def test_no_drive_of_the_module_is_wrong(story: Callable[[int], Script]) -> None:
     assert wrong_of(map(story, range(DRIVES))) == []
 
 
 @stories
-@pytest.mark.timeout(60 + 30 * DRIVES_M3)
+@pytest.mark.timeout(300 + 30 * DRIVES_M3)
 def test_no_drive_of_the_emulated_firmware_is_wrong(story: Callable[[int], Script], tmp_path: Path) -> None:
     assert wrong_of(map(story, range(DRIVES_M3)), tmp_path) == []
 
