@@ -47,17 +47,12 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     Raises:
         ConfigError: the configuration cannot be served.
     """
-    _check_values(config)
+    warnings, listeners = check_settings(config)
     hub = Hub(config, Catalog(config.message_folders))  # message folders, limits of robots
     for serial in config.serial:
         protocols_of(hub, serial)
-    warnings = []
-    for each in chosen(config):  # the warnings of those with tables of other names begin with a key
-        component = each.make()
-        warnings += [f"{'' if each.kind.tables else f'{each.name}: '}{warning}" for warning in component.check()]
-        for table, (host, port) in component.listens().items():
-            check_port(f"{table}.port", port)
-            warnings += await _try_port(table, host, port)
+    for table, (host, port) in listeners.items():
+        warnings += await _try_port(table, host, port)
     for name, part in ports_of(config).items():
         if isinstance(part, UdpConfig):
             UdpAcceptor(hub, part)
@@ -70,6 +65,24 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     if few:
         warnings.append(f"{descriptors} descriptors (ulimit -n) are enough only for {', '.join(few)}")
     return [*warnings, *_suspicious(config)]
+
+
+def check_settings(config: Config) -> tuple[list[str], dict[str, tuple[str, int]]]:
+    """Check the values, without a port. Return warnings of components, and host and port of their listeners by table.
+
+    Raises:
+        ConfigError: the configuration cannot be served.
+    """
+    _check_values(config)
+    warnings: list[str] = []
+    listeners: dict[str, tuple[str, int]] = {}
+    for each in chosen(config):  # the warnings of those with tables of other names begin with a key
+        warnings += [f"{'' if each.kind.tables else f'{each.name}: '}{warning}" for warning in each.warnings()]
+        listeners |= each.listeners()
+    for table, (_, port) in listeners.items():
+        check_port(f"{table}.port", port)
+    check_ports(config, listeners)
+    return warnings, listeners
 
 
 def describe(config: Config) -> list[str]:
@@ -85,10 +98,10 @@ def describe(config: Config) -> list[str]:
             where, most = spelled(part.host, part.port), part.max_connections
             lines.append(f"micro-ROS boards on {name[-3:].upper()} {where}, from {_describe_who(part)}, at most {most}")
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
-    lines += [each.make().describe() for each in components if each.kind.begins_first]
+    lines += [each.line() for each in components if each.kind.begins_first]
     for name, robot in config.robots.items():
         lines.append(f"robot {name}, {robot.address or ' and '.join(robot.devices or ()) or 'known by its topics'}")
-    lines += [each.make().describe() for each in components if not each.kind.begins_first]
+    lines += [each.line() for each in components if not each.kind.begins_first]
     lines += [f"messages in {folder}" for folder in config.message_folders]
     return [*lines, quantity(len(config.parameters), "parameter")]
 
@@ -110,7 +123,6 @@ def _describe_port(port: SerialConfig) -> str:
 def _check_values(config: Config) -> None:
     for name, part in ports_of(config).items():
         check_port(f"{name}.port", part.port)
-    check_ports(config)
     for where, number in _positive(config):
         if number is not None and not 0 < number < math.inf:
             raise ConfigError(where, f"{number:g} is not allowed; choose a finite number above 0")

@@ -49,7 +49,9 @@ def fitted(config: Config, descriptors: int) -> Config:
     most = connections_of(config)
     fewest = max(FEWEST, OWN + sum(claim.least for claim in most.values())) + len(config.serial)
     if descriptors < fewest:
-        raise ConfigError("ulimit -n", f"{descriptors} descriptors are too few; allow at least {fewest}")
+        largest = max(most, key=lambda name: most[name].least)
+        part = f"; [{largest}] alone needs {most[largest].least}" if most[largest].least > FEWEST else ""
+        raise ConfigError("ulimit -n", f"{descriptors} descriptors are too few; allow at least {fewest}{part}")
     found = shares(most, descriptors - OWN - len(config.serial))
     changed = {name: number for name, number in found.items() if number != most[name].most}
     return _with_connections(config, changed) if changed else config
@@ -59,8 +61,7 @@ def connections_of(config: Config) -> dict[str, Claim]:
     """Return the connections of each part of the settings, by its table."""
     claims = {name: Claim(part.max_connections, DEVICES) for name, part in ports_of(config).items()}
     for each in chosen(config):
-        for name, sharing in each.kind.connections.items():
-            claims[name] = Claim(each.table(name).max_connections, sharing)
+        claims |= {name: Claim(*found) for name, found in each.connections().items()}
     return claims
 
 

@@ -24,6 +24,24 @@ class Ending:
         self.cause = ""
         self._requested_at_s = 0.0
         self._is_requested = asyncio.Event()
+        self._starting: asyncio.Task[object] | None = None
+
+    @contextlib.contextmanager
+    def at_start(self) -> Iterator[None]:
+        """End the block at a request before `note_started`: a component may need long to begin."""
+        self._starting = task = asyncio.current_task()
+        try:
+            yield
+        except asyncio.CancelledError:
+            if task is None or self._starting is None or not self.cause or task.uncancel():
+                raise
+            log.info("daemon.stop_requested", cause=self.cause)
+        finally:
+            self._starting = None
+
+    def note_started(self) -> None:
+        """From now on a request only ends `wait`."""
+        self._starting = None
 
     async def wait(self) -> None:
         """Wait until the daemon is to end."""
@@ -36,6 +54,8 @@ class Ending:
             self.cause, self._requested_at_s = cause, now_s
             self._is_requested.set()
             _force_after(LONGEST_END_S)
+            if self._starting is not None:
+                self._starting.cancel()
         elif now_s > self._requested_at_s + SHUTDOWN_S:
             _force(f"a second signal, {cause}")
 

@@ -14,7 +14,15 @@ import typer
 from hostlink.cli.addresses import parse_serial
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
-from hostlink.cli.serve_command import ApiAddress, ConfigFile, LogLevel, merge, open_device_port, with_master
+from hostlink.cli.serve_command import (
+    ApiAddress,
+    ConfigFile,
+    LogLevel,
+    merge,
+    open_device_port,
+    switched_on,
+    with_master,
+)
 from hostlink.cli.settings import load
 from hostlink.cli.start import import_fast
 from hostlink.components.ros1.names import NodeArguments, parse_arguments
@@ -97,7 +105,7 @@ def command(
     settings = merge(load(config) if config else Config(), listen=None, serial=None, api=api, messages=messages)
     node = settings.table("ros1", Ros1Config)
     node = node_of(node, arguments, master=master, host=host, namespace=namespace)
-    settings = settings.with_tables(ros1=node)
+    settings = switched_on(settings.with_tables(ros1=node), "ros1")
     options = _PortOptions(tcp, serial, baud)
     plain = with_devices(settings, {}, arguments.others, options)  # reports wrong arguments first
     listening = [] if is_port_at_master(arguments.others, options) else open_device_port(plain.tcp)

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 
 import structlog
 
-from hostlink.cli.check import check, describe
+from hostlink.cli.check import check, check_settings, describe
 from hostlink.cli.descriptors import fitted, limit
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.garbage import collect_while_idle, return_large_blocks, shorten_pauses
@@ -131,13 +131,23 @@ def run(
         import_components(config)
         for warning in asyncio.run(check(config, descriptors=limit(), is_listening=bool(listening))):
             log.warning("config.suspicious", reason=warning)
-        read_again = None if read is None else (lambda: fitted(read(), limit()))
+        read_again = None if read is None else (lambda: _checked(read()))
         with asyncio.Runner(loop_factory=loop_factory) as runner:
             runner.run(
                 serve(fitted(config, limit()), ends_with_graph=ends_with_graph, read=read_again, listening=listening)
             )
     finally:
         close_all(listening)  # after a failed start: waiting devices are reset, and try again
+
+
+def _checked(config: Config) -> Config:
+    """Check the settings of a reload, and limit connections, as a new start would.
+
+    Raises:
+        ConfigError: a new start would refuse them.
+    """
+    check_settings(config)
+    return fitted(config, limit())
 
 
 def show_check(config: Config) -> None:
@@ -161,7 +171,7 @@ async def serve(
     """Run the daemon until a signal; with `ends_with_graph` also until its node is shut down."""
     return_large_blocks()
     notifier = Notifier(os.environ)
-    with stop_signals() as ending, guarded(is_wanted=config.guardian) as guardian:
+    with stop_signals() as ending, guarded(is_wanted=config.guardian) as guardian, ending.at_start():
         async with running(
             config,
             guard=guardian,
@@ -170,6 +180,7 @@ async def serve(
             read=read,
             listening=listening,
         ) as (hub, _):
+            ending.note_started()
             hub.spawn(notifier.beat(lambda: _status(hub)), name="heartbeat")
             shorten_pauses()
             hub.spawn(collect_while_idle(hub.robots), name="garbage collector")

@@ -131,10 +131,10 @@ def command(
         )
         settings = allow_origins(settings, origin)
         if zenoh:
-            settings = dataclasses.replace(settings, components=settings.components | {"zenoh": True})
+            settings = switched_on(settings, "zenoh")
         if ros1 is not None:
             node = with_master(settings.table("ros1", Ros1Config), "--ros1", ros1)
-            settings = settings.with_tables(ros1=node)
+            settings = switched_on(settings.with_tables(ros1=node), "ros1")
         return settings
 
     settings = read()
@@ -155,6 +155,11 @@ def open_device_port(config: TcpConfig) -> list[socket.socket]:
         return listen_at(config.host, config.port)
     except (OSError, OverflowError, UnicodeError):
         return []
+
+
+def switched_on(config: Config, component: str) -> Config:
+    """Return the settings with a component that an option wants: it precedes the [components] of the file."""
+    return dataclasses.replace(config, components=config.components | {component: True})
 
 
 def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
@@ -239,6 +244,7 @@ def merge(
         wanted_api = config.table("api", ApiConfig)
         host, port = parse_address("--api", api, wanted_api.host)
         config = config.with_tables(api=dataclasses.replace(wanted_api, host=host, port=port))
+        config = switched_on(config, "gateway")
     ports = config.serial + tuple(parse_serial(text) for text in serial or ())
     return dataclasses.replace(config, serial=ports, message_folders=config.message_folders + tuple(messages or ()))
 

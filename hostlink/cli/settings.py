@@ -9,6 +9,7 @@ from hostlink.core import config
 from hostlink.core.config import Config
 from hostlink.core.runtime import plugins
 
+COMPONENTS = "hostlink.components"  # entry points: most have a table of their own name
 TABLES = "hostlink.tables"  # entry points: tables of components whose names are not those of the components
 
 
@@ -34,5 +35,5 @@ def settings_type(name: str) -> type | None:
 
 
 def table_names() -> Iterable[str]:
-    """Return the names of the tables that have entry points of their own."""
-    return plugins.entry_points(TABLES)
+    """Return the names of the tables of components, for the hint about an unknown one."""
+    return (*plugins.entry_points(TABLES), *plugins.entry_points(COMPONENTS))

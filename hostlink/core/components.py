@@ -4,15 +4,16 @@ import asyncio
 import contextlib
 import functools
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Mapping
-from dataclasses import fields
-from graphlib import TopologicalSorter
-from typing import Any, NamedTuple
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from graphlib import CycleError, TopologicalSorter
+from typing import Any, NamedTuple, TypeVar
 
+import msgspec
 import structlog
 
 from hostlink.core.config import Config
-from hostlink.core.host import Component, Host
+from hostlink.core.host import Component, Connections, Host
 from hostlink.core.hub.hub import Hub
 from hostlink.core.runtime import plugins
 from hostlink.core.runtime.cancellation import first_error, meanwhile, raise_if_cancelled
@@ -28,6 +29,7 @@ STEADY_S = 60.0  # after a run of this length the pause is the first one again
 log = structlog.get_logger()
 AnyComponent = Component[Any]
 Make = Callable[[], AnyComponent]  # makes a component for one run
+Result = TypeVar("Result")
 
 
 def find_component(name: str) -> type[AnyComponent]:
@@ -42,6 +44,8 @@ def find_component(name: str) -> type[AnyComponent]:
         raise ConfigError(f"components.{name}", f"{found[name].value} is not a subclass of Component")
     if component.name != name:
         raise ConfigError(f"components.{name}", f"{found[name].value} has the name {component.name}")
+    if not is_dataclass(getattr(component, "settings_type", None)):
+        raise ConfigError(f"components.{name}", f"settings_type of {found[name].value} is not a dataclass")
     return component
 
 
@@ -60,16 +64,94 @@ def settings_type(name: str) -> type | None:
     return kind.settings_type
 
 
+@contextlib.contextmanager
+def _named(name: str, member: str) -> Iterator[None]:
+    """Name the component and its member in the error of a member that fails, which belongs to another package.
+
+    Raises:
+        ConfigError: the block raises another error than those of hostlink.
+    """
+    try:
+        yield
+    except HostlinkError:
+        raise
+    except (Exception, SystemExit) as error:
+        step = f"correct the component, or write {name} = false below [components]"
+        raise ConfigError(f"components.{name}", f"{member} has failed: {error!r}; {step}") from error
+
+
 class Chosen(NamedTuple):
-    """A component that runs."""
+    """A component that runs. Its members are those of a stranger: they may raise and return anything."""
 
     name: str
     kind: type[AnyComponent]
     settings: object
 
     def make(self) -> AnyComponent:
-        """Make it with these settings."""
-        return self.kind(self.settings)
+        """Make it with these settings.
+
+        Raises:
+            ConfigError: it cannot be made.
+        """
+        with _named(self.name, "__init__"):
+            return self.kind(self.settings)
+
+    def warnings(self) -> list[str]:
+        """Return its warnings about the settings, without the table's name.
+
+        Raises:
+            ConfigError: the settings cannot be served, or its `check` has failed.
+        """
+        component = self.make()
+        with _named(self.name, "check"):
+            found = component.check()
+            return msgspec.convert(found if isinstance(found, str) else list(found), list[str])
+
+    def listeners(self) -> dict[str, tuple[str, int]]:
+        """Return host and port of its listeners, by table.
+
+        Raises:
+            ConfigError: its `listens` has failed.
+        """
+        component = self.make()
+        with _named(self.name, "listens"):
+            return msgspec.convert(component.listens(), dict[str, tuple[str, int]])
+
+    def line(self) -> str:
+        """Return the line that describes it. A failure is told in the line: the daemon does not need it.
+
+        Raises:
+            ConfigError: it cannot be made.
+        """
+        component = self.make()
+        try:
+            return str(component.describe())
+        except Exception as error:  # noqa: BLE001 - it is of another package
+            return f"{self.name}: describe has failed: {error!r}"
+
+    def connections(self) -> dict[str, tuple[int, Connections]]:
+        """Return the most connections of each table that limits them, and how these share descriptors.
+
+        Raises:
+            ConfigError: a number is wrong, or the table is not one of the component.
+        """
+        found = {}
+        for table, sharing in self._sharing().items():
+            if table not in (self.kind.tables or (self.name,)):
+                raise ConfigError(f"components.{self.name}", f"connections names [{table}], which is not its table")
+            with _named(self.name, "connections"):
+                most = msgspec.convert(self.table(table).max_connections, int)
+            if most < 1:
+                raise ConfigError(f"{table}.max_connections", f"{most} is not allowed; choose at least 1")
+            found[table] = most, sharing
+        return found
+
+    def _sharing(self) -> dict[str, Connections]:
+        with _named(self.name, "connections"):
+            found = msgspec.convert(self.kind.connections, dict[str, Connections])
+            if any(min(sharing) < 1 for sharing in found.values()):
+                raise ValueError("least and descriptors must be at least 1")
+            return found
 
     def table(self, name: str) -> Any:
         """Return the settings of one of its tables in hostlink.toml."""
@@ -91,9 +173,27 @@ def chosen_components(config: Config, usual: Iterable[str] = ()) -> list[Chosen]
             continue  # what is off is not imported
         kind = find_component(name)
         each = Chosen(name, kind, _settings_of(config, name, kind))
-        if name in switches or kind.is_wanted(each.settings):
+        with _named(name, "is_wanted"):
+            is_wanted = name in switches or kind.is_wanted(each.settings)
+        if is_wanted:
             chosen.append(each)
+    _in_order(chosen)
     return chosen
+
+
+def _in_order(chosen: Iterable[Chosen]) -> list[Chosen]:
+    """Return those that begin first, each behind those that it uses.
+
+    Raises:
+        ConfigError: they use each other.
+    """
+    first = {each.name: each for each in chosen if each.kind.begins_first}
+    uses = {name: first.keys() & set(each.kind.uses) for name, each in first.items()}
+    try:
+        return [first[name] for name in TopologicalSorter(uses).static_order()]
+    except CycleError as error:
+        names = [str(name) for name in error.args[1]]
+        raise ConfigError(f"components.{names[0]}", f"they use each other: {' - '.join(names)}") from error
 
 
 def _settings_of(config: Config, name: str, kind: type[AnyComponent]) -> object:
@@ -111,8 +211,9 @@ def _settings_of(config: Config, name: str, kind: type[AnyComponent]) -> object:
         try:
             settings = kind.settings_type()
         except TypeError as error:
-            advice = f"it needs a table [{name}] with its settings: {error}"
-            raise ConfigError(f"components.{name}", advice) from error
+            needed = [each for each in fields(kind.settings_type) if each.default is each.default_factory is MISSING]
+            keys = ", ".join(each.name for each in needed)
+            raise ConfigError(f"components.{name}", f"it needs a table [{name}] with its settings: {keys}") from error
     return settings
 
 
@@ -131,11 +232,9 @@ async def begun_first(hub: Hub, chosen: Iterable[Chosen]) -> AsyncIterator[None]
     Raises:
         ConfigError: the settings of one cannot be served, for example because a port is in use.
     """
-    first = {each.name: each for each in chosen if each.kind.begins_first}
-    order = TopologicalSorter({name: first.keys() & set(each.kind.uses) for name, each in first.items()})
     async with contextlib.AsyncExitStack() as running:
-        for name in order.static_order():
-            await running.enter_async_context(_begun(hub, first[name]))
+        for each in _in_order(chosen):
+            await running.enter_async_context(_begun(hub, each))
         yield
 
 
@@ -163,7 +262,7 @@ async def begun(hub: Hub, chosen: Iterable[Chosen]) -> AsyncIterator[None]:
 
 def _make(hub: Hub, chosen: Chosen) -> Make:
     """Return what makes the component for a run, with the settings as the last reload has left them."""
-    return lambda: chosen.kind(_settings_of(hub.config, chosen.name, chosen.kind))
+    return lambda: chosen._replace(settings=_settings_of(hub.config, chosen.name, chosen.kind)).make()
 
 
 async def supervise(hub: Hub, name: str, make: Make, ready: asyncio.Event | None = None) -> None:
@@ -179,6 +278,8 @@ async def supervise(hub: Hub, name: str, make: Make, ready: asyncio.Event | None
     pause_s = FIRST_PAUSE_S
     longest_s = LONGEST_PAUSE_S if ready is None else LONGEST_PAUSE_OF_FIRST_S
     while True:
+        if hub.gates.is_closed:  # the daemon ends
+            await asyncio.Event().wait()
         began_s = loop_time_s()
         error = await _run_once(hub, name, make, counts, kept, ready)
         if ready is not None and not ready.is_set():
@@ -203,13 +304,40 @@ async def _run_once(
     error: BaseException | None = None
     try:
         async with hosted(hub, name, counts, kept, ready) as host:
-            await make().run(host)
+            await _uncancelled(make().run(host))
     except* Exception as group:  # noqa: BLE001 - a component of another package may raise anything
         error = first_error(group)
-    raise_if_cancelled()
     if isinstance(error, Exception) and not isinstance(error, HostlinkError | OSError):
         hub.isolation.crashed("component", error, component=name)
+    raise_if_cancelled()
     return error
+
+
+async def _uncancelled(run: Awaitable[None]) -> None:
+    """Await a run. What cancels a future that it awaits does not end it without a word.
+
+    Raises:
+        RuntimeError: the run was cancelled, but not by the daemon.
+    """
+    try:
+        await _contained(run)
+    except asyncio.CancelledError as error:
+        raise_if_cancelled()
+        raise RuntimeError("something that it awaited was cancelled") from error
+
+
+async def _contained(work: Awaitable[Result]) -> Result:
+    """Await work of a component, of which nothing ends the daemon: not SystemExit, and no other BaseException.
+
+    Raises:
+        RuntimeError: the work has raised such an exception.
+    """
+    try:
+        return await work
+    except (Exception, asyncio.CancelledError, GeneratorExit):
+        raise
+    except BaseException as error:
+        raise RuntimeError(f"it has raised {error!r}") from error
 
 
 @contextlib.asynccontextmanager
@@ -222,15 +350,23 @@ async def hosted(
 ) -> AsyncIterator[Host]:
     """Make a host for the length of a block. What the block has spawned ends with it; then all that it took does.
 
-    An error of the block, or of what it has spawned, is raised in an exception group. `kept`: for the block
-    that follows.
+    An error of the block, or of what it has spawned, is raised in an exception group. At the error, all that the block
+    took ends at once: what does not end at its cancellation drives no robot. `kept`: for the block that follows.
     """
+    is_resumed = kept is not None
     with contextlib.ExitStack() as leaving:
         async with asyncio.TaskGroup() as tasks:
             spawned = set[asyncio.Task[object]]()
 
+            async def vital(work: Coroutine[Any, Any, object]) -> None:
+                try:
+                    await _contained(work)
+                except Exception:
+                    host.close(is_resumed=is_resumed)
+                    raise
+
             def spawn(work: Coroutine[Any, Any, object], part: str, *, is_vital: bool) -> None:
-                whole = work if is_vital else hub.isolated(work, part)
+                whole = vital(work) if is_vital else hub.isolated(_contained(work), part)
                 try:
                     task = tasks.create_task(whole, name=f"{name}: {part}")
                 except RuntimeError:  # the run ends, or has ended: the work would be cancelled before its first turn
@@ -242,9 +378,12 @@ async def hosted(
                 task.add_done_callback(lambda _: work.close())  # it may be cancelled before its first turn
 
             host = Host(hub, name, spawn, counts, kept, ready)
-            leaving.callback(host.close, is_resumed=kept is not None)
+            leaving.callback(host.close, is_resumed=is_resumed)
             try:
                 yield host
+            except Exception:
+                host.close(is_resumed=is_resumed)
+                raise
             finally:
                 for task in spawned:
                     task.cancel()

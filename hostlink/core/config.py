@@ -6,10 +6,11 @@ import dataclasses
 import difflib
 import functools
 import ipaddress
+import itertools
 import math
 import re
 import typing
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar
@@ -699,21 +700,24 @@ def check_port(setting: str, port: int) -> None:
         raise ConfigError(setting, f"{port} is not a port; choose 0 (any free one) to {MAX_PORT}")
 
 
-def check_ports(config: Config) -> None:
-    """Check that no two listeners for devices have one port.
+def check_ports(config: Config, others: Mapping[str, tuple[str, int]] | None = None) -> None:
+    """Check that no two listeners have one port. `others` are host and TCP port of those of components, by table.
 
     Raises:
         ConfigError: two have.
     """
     boards = config.micro_ros
-    for kind, first, second in (("tcp", config.tcp, boards.tcp), ("udp", config.udp, boards.udp)):
-        if first is None or second is None or not first.port:
-            continue  # one listener, or any free port
-        hosts = {first.host, second.host}
-        overlap = len(hosts) == 1 or not hosts.isdisjoint(_EVERY_ADDRESS)
-        if first.port == second.port and overlap:
-            problem = f"{kind.upper()} port {second.port} is that of [{kind}], too; give each its own"
-            raise ConfigError(f"micro_ros.{kind}.port", problem)
+    tcp = {"tcp": config.tcp, "micro_ros.tcp": boards.tcp}
+    udp = {"udp": config.udp, "micro_ros.udp": boards.udp}
+    _differ("TCP", {**{table: (part.host, part.port) for table, part in tcp.items() if part}, **(others or {})})
+    _differ("UDP", {table: (part.host, part.port) for table, part in udp.items() if part})
+
+
+def _differ(kind: str, listeners: Mapping[str, tuple[str, int]]) -> None:
+    for (first, (host, port)), (second, (its_host, its_port)) in itertools.combinations(listeners.items(), 2):
+        overlap = host == its_host or host in _EVERY_ADDRESS or its_host in _EVERY_ADDRESS
+        if port == its_port != 0 and overlap:
+            raise ConfigError(f"{second}.port", f"{kind} port {port} is that of [{first}], too; give each its own")
 
 
 @functools.cache

@@ -373,16 +373,24 @@ class Host:
             UnknownTopic: there is no robot of this name.
         """
         if self._follower is None:
-            self._follower = self.join(self._name, role=Role.READ)
+            self._follower = self._reader("follow")
         self._follower.follow(self._hub.robots.find(robot), receive)
 
     def observe(self, receive: Callable[[RobotEvent], None]) -> None:
         """Call `receive` with every event of robots and links, until the run ends."""
-        self.join(self._name, role=Role.READ).observe(receive)
+        self._reader("observe").observe(receive)
 
     def watch_graph(self, on_change: Callable[[], None]) -> None:
         """Call `on_change` soon, and soon after every change of robots, topics and services, until the run ends."""
-        self.join(self._name, role=Role.READ).watch_graph(on_change)
+        self._reader("watch_graph").watch_graph(on_change)
+
+    def _reader(self, what: str) -> Participant:
+        """Join for callbacks of the component itself. A failure of one is a failure of the component."""
+
+        def fail() -> None:
+            self._fail(HostlinkError(f"a callback of {what} has failed: participant.crashed has its error"), what)
+
+        return self.join(self._name, role=Role.READ, on_end=fail)
 
     # -- topics and services ------------------------------------------------------------------------------------------
 
@@ -511,7 +519,7 @@ class Host:
         """
 
         def fail(error: Exception) -> None:
-            self._spawn(_raise(error), "provider of robots", is_vital=True)
+            self._fail(error, "provider of robots")
 
         robots = RemoteRobots(
             self._hub.robots, self._hub.gates, self._hub.topics, Provision(provider, self._name, fail)
@@ -567,6 +575,7 @@ class Host:
 
     def request_end(self, reason: str) -> None:
         """Ask the daemon to end, which only one that was started for this component does: `hostlink ros1`."""
+        self.log.info("component.end_requested", reason=reason)
         self._hub.on_end_request(reason)
 
     def offer(self, service: object) -> None:
@@ -617,15 +626,23 @@ class Host:
         """Say what is wrong with the component, as `hostlink doctor` shows it; empty: it works. `code`: its finding."""
         self._hub.diagnoses.observe_own(self._name, code if problem else "", problem)
 
+    def _fail(self, error: Exception, what: str) -> None:
+        self._spawn(_raise(error), what, is_vital=True)
+
     def close(self, *, is_resumed: bool = False) -> None:
-        """End everything that the run took. Called by the daemon. `is_resumed`: another run follows."""
+        """End everything that the run took. Called by the daemon, at a failure and again when all of it has ended.
+
+        `is_resumed`: another run follows.
+        """
         self._has_ended = True
         for participant in list(self._participants):
             participant.leave()
         for robots in self._remote:
             robots.close(is_resumed=is_resumed)
+        self._remote.clear()
         if self._here is not None:
             self._here.close()
+            self._here = None
         if self._source is not None and self._hub.links.parameter_source is self._source:
             self.answer_parameters(None)
         if self._has_clock:
@@ -633,6 +650,7 @@ class Host:
         for service in self._offers:
             if self._hub.offers.get(type(service)) is service:
                 del self._hub.offers[type(service)]
+        self._offers.clear()
         for prepare in self._prepares:
             self._hub.reloader.prepares.remove(prepare)
         self._prepares.clear()

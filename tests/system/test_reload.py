@@ -34,10 +34,15 @@ async def test_a_file_is_read_again_by_a_command_and_by_a_signal(tmp_path: Path)
         file.write_text("[robots.rover]\nmax_linear = 0.2\n")
         daemon.child.send_signal(signal.SIGUSR1)
         assert "max_linear" in (await daemon.read_log("config.refused"))["reason"]
-        status, _, complaint = await run(*words)
-        assert status == 1
-        assert complaint.count("\n") == 1
-        assert "max_linear" in complaint
+        for text, reason in (
+            ("[robots.rover]\nmax_linear = 0.2\n", "max_linear"),
+            ("[ros1]\nmaster = 'http://m:1'\nport = 70000\n", "ros1.port"),
+        ):
+            file.write_text(text)  # what a start would refuse
+            status, _, complaint = await run(*words)
+            assert status == 1
+            assert complaint.count("\n") == 1
+            assert reason in complaint
         assert await daemon.end(signal.SIGTERM) == 0
 
 

@@ -30,7 +30,7 @@ Zenoh            zenoh.opened, zenoh.closed, zenoh.failed, fleet.daemon_appeared
                  fleet.hearing_changed, fleet.duplicate_host_found, fleet.silent_link_closed, graph.crashed
 ROS 2 on Zenoh   ros2.joined, ros2.left, ros2.trouble, ros2.refused, ros2.topic_refused, ros2.service_refused,
                  ros2.type_unknown, ros2.type_differs
-Components       component.ended, component.crashed, component.late
+Components       component.ended, component.crashed, component.late, component.end_requested
 The log itself   log.lines_left_out, log.lines_lost
 """
 

@@ -10,6 +10,7 @@ import pytest
 
 from hostlink.cli.check import check, describe
 from hostlink.cli.descriptors import FEWEST, fitted
+from hostlink.cli.serve_command import merge, switched_on
 from hostlink.components.gateway.settings import ApiConfig, TokenConfig
 from hostlink.components.recorder.settings import RecordingConfig
 from hostlink.components.ros1.settings import Ros1Config
@@ -321,6 +322,30 @@ def test_node_of_ros_1_that_cannot_be_served_is_refused(node: dict[str, Any], pr
     with pytest.raises(ConfigError) as refused:
         checked(config)
     assert str(refused.value) == problem
+
+
+@pytest.mark.parametrize(
+    ("host", "is_refused"),
+    [("127.0.0.1", True), ("0.0.0.0", True), ("127.0.0.2", False)],
+)
+def test_port_of_a_component_that_a_listener_for_devices_has_is_refused(host: str, is_refused: bool) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    config = Config(tcp=TcpConfig(host="127.0.0.1", port=port)).with_tables(
+        api=ApiConfig(host=host, port=port, tokens=(TOKEN,))
+    )
+    if not is_refused:
+        checked(config)
+        return
+    with pytest.raises(ConfigError) as refused:
+        checked(config)
+    assert str(refused.value) == f"api.port: TCP port {port} is that of [tcp], too; give each its own"
+
+
+def test_option_precedes_a_switch_of_the_file() -> None:
+    off = Config(components={"gateway": False, "ros1": False})
+    assert merge(off, api="127.0.0.1:0").components == {"gateway": True, "ros1": False}
+    assert switched_on(off, "ros1").components == {"gateway": False, "ros1": True}
 
 
 def test_node_of_ros_1_is_described_by_its_full_name() -> None:

@@ -50,6 +50,8 @@ def test_each_part_has_its_least_and_more_in_proportion(claims: dict[str, Claim]
 
 def test_parts_that_need_more_than_there_is_are_refused_with_what_they_need(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hostlink.components.ros1.node.Ros1.connections", {"ros1": Connections(200, DESCRIPTORS)})
-    with pytest.raises(ConfigError, match="ulimit -n: 512 descriptors are too few; allow at least 683"):
+    with pytest.raises(
+        ConfigError, match="ulimit -n: 512 descriptors are too few; allow at least 683; \\[ros1\\] alone needs 600"
+    ):
         fitted(ROS1, 512)
     assert fitted(ROS1, 683).table("ros1", Ros1Config).max_connections == 200

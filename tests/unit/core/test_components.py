@@ -6,7 +6,7 @@ import importlib.metadata
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, make_dataclass, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, ClassVar
@@ -28,7 +28,8 @@ from hostlink.core.components import (
     supervise,
 )
 from hostlink.core.config import Config
-from hostlink.core.host import Component, Host, PlanarVelocity, RobotEvent, Role
+from hostlink.core.host import Component, Connections, Host, PlanarVelocity, RobotEvent, Role
+from hostlink.core.hub.graph_changes import GraphKind
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.runtime.cancellation import first_error
 from hostlink.errors import (
@@ -217,6 +218,122 @@ async def test_failure_of_spawned_work_or_of_a_callback_is_a_failure_of_the_comp
     async with supervised(made, kind):
         await asyncio.sleep(0.1)
         assert "spawned" in made.hub.diagnoses.own["driver"].detail
+
+
+@inside(in_hub, reraises=False)
+async def test_failed_component_that_swallows_its_cancellation_drives_no_more(made: MemoryHub) -> None:
+    device = await made.connect()
+
+    async def crash() -> None:
+        await asyncio.sleep(0.45)
+        raise ValueError("spawned")
+
+    async def swallow(host: Host) -> None:
+        host.spawn(crash(), name="work")
+        me, end_s = host.join("arm"), made.now_s + 5.0
+        while made.now_s < end_s:
+            with contextlib.suppress(HostlinkError):
+                host.drive(me, "robot_0", FORWARD)
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.sleep(0.1)
+
+    async with supervised(made, driver_of(swallow, drive_for_ever)):
+        await asyncio.sleep(0.4)
+        assert velocities(device)[-1] == (0.1, 0.0)
+        await asyncio.sleep(0.15)
+        assert velocities(device)[-1] == (0.0, 0.0)
+        assert made.robot().state(made.now_s).holder is None
+        await asyncio.sleep(1.0)
+        assert velocities(device)[-1] == (0.0, 0.0)
+        await asyncio.sleep(4.8)
+        assert velocities(device)[-1] == (0.1, 0.0)  # in its next run
+
+
+@inside(in_hub, reraises=False)
+@pytest.mark.parametrize("callback", ["follow", "observe", "watch_graph"])
+async def test_failure_of_a_callback_is_a_failure_of_the_component(made: MemoryHub, callback: str) -> None:
+    device = await made.connect()
+
+    def crash(*_: object) -> None:
+        raise ValueError("a bug")
+
+    async def listen(host: Host) -> None:
+        if callback == "follow":
+            host.follow("robot_0", crash)
+        else:
+            getattr(host, callback)(crash)
+        await drive_for_ever(host)
+
+    async with supervised(made, driver_of(listen, drive_for_ever)):
+        await asyncio.sleep(0.2)
+        await device.send(125, struct.pack("<3d", 1.0, 0.0, 0.0))
+        made.hub.robots.stop_all()
+        made.hub.changes.note(GraphKind.ROBOT, "robot_0")
+        await asyncio.sleep(0.4)
+        assert codes(made) == ["component_failed"]
+        reason = made.hub.diagnoses.own["driver"].detail
+        assert f"a callback of {callback} has failed: participant.crashed has its error" in reason
+        assert made.robot().state(made.now_s).holder is None
+
+
+async def exit_at_once() -> None:
+    raise SystemExit(7)
+
+
+async def await_what_is_cancelled(_: Host) -> None:
+    future = asyncio.get_running_loop().create_future()
+    future.cancel()
+    await future
+
+
+async def spawn_what_exits(host: Host) -> None:
+    host.spawn(exit_at_once(), name="work")
+    await asyncio.Event().wait()
+
+
+@inside(in_hub, reraises=False)
+@pytest.mark.parametrize(
+    ("run", "reason"),
+    [
+        (lambda _: exit_at_once(), "it has raised SystemExit(7)"),
+        (spawn_what_exits, "it has raised SystemExit(7)"),
+        (await_what_is_cancelled, "something that it awaited was cancelled"),
+    ],
+)
+async def test_exit_or_foreign_cancellation_is_a_failure_of_the_component(
+    made: MemoryHub, run: Any, reason: str
+) -> None:
+    device = await made.connect()
+    async with supervised(made, driver_of(run, drive_for_ever)):
+        await asyncio.sleep(0.1)
+        assert codes(made) == ["component_failed"]
+        assert [each["reason"] for each in made.logged("component.ended")] == [reason]
+        await asyncio.sleep(1.2)
+        assert velocities(device)[-1] == (0.1, 0.0)
+
+
+@inside(in_hub, reraises=False)
+async def test_exit_of_work_that_is_not_vital_is_logged_and_ends_nothing(made: MemoryHub) -> None:
+    async def run(host: Host) -> None:
+        host.spawn(exit_at_once(), name="work", is_vital=False)
+        await drive_for_ever(host)
+
+    device = await made.connect()
+    async with supervised(made, driver_of(run)):
+        await asyncio.sleep(0.5)
+        assert velocities(device)[-1] == (0.1, 0.0)
+        assert codes(made) == []
+        assert made.hub.isolation.crashes["task"] == 1
+
+
+@inside(in_hub)
+async def test_component_is_not_begun_again_while_the_daemon_ends(made: MemoryHub) -> None:
+    kind = driver_of(OSError("lost"), drive_for_ever)
+    async with supervised(made, kind):
+        await asyncio.sleep(0.5)
+        made.hub.gates.refuse_all()
+        await asyncio.sleep(5.0)
+        assert len(kind.hosts) == 1
 
 
 @inside(in_hub)
@@ -422,6 +539,95 @@ async def test_each_run_has_the_settings_of_the_last_reload(made: MemoryHub) -> 
     assert seen == [0.1, 0.3]
 
 
+# -- members of a stranger's component --------------------------------------------------------------------------------
+
+
+def failing(member: str, error: BaseException = ValueError("a bug")) -> type[Driver]:  # noqa: B008 - one for all
+    def fail(*_: object) -> None:
+        raise error
+
+    return type("Faulty", (Driver,), {member: classmethod(fail) if member == "is_wanted" else fail})
+
+
+ADVICE = "correct the component, or write driver = false below [components]"
+
+
+@pytest.mark.parametrize(
+    ("kind", "ask", "problem"),
+    [
+        (failing("__init__"), "make", f"__init__ has failed: ValueError('a bug'); {ADVICE}"),
+        (failing("check"), "warnings", f"check has failed: ValueError('a bug'); {ADVICE}"),
+        (failing("check", SystemExit(3)), "warnings", f"check has failed: SystemExit(3); {ADVICE}"),
+        (failing("check", OSError("no disk")), "warnings", f"check has failed: OSError('no disk'); {ADVICE}"),
+        (failing("listens"), "listeners", f"listens has failed: ValueError('a bug'); {ADVICE}"),
+    ],
+)
+def test_member_that_fails_is_named_with_its_component(kind: type[Driver], ask: str, problem: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        getattr(Chosen("driver", kind, Settings()), ask)()
+    assert str(caught.value) == f"components.driver: {problem}"
+
+
+@pytest.mark.parametrize(
+    ("facts", "ask", "problem"),
+    [
+        ({"check": lambda _: None}, "warnings", "check has failed"),
+        ({"check": lambda _: "two"}, "warnings", "check has failed"),
+        ({"check": lambda _: [3]}, "warnings", "check has failed"),
+        ({"listens": lambda _: None}, "listeners", "listens has failed"),
+        ({"listens": lambda _: {"driver": ("0.0.0.0", "80")}}, "listeners", "listens has failed"),
+        ({"connections": 7}, "connections", "connections has failed"),
+        ({"connections": property(lambda _: {})}, "connections", "connections has failed"),
+        ({"connections": {"driver": Connections(descriptors=0)}}, "connections", "least and descriptors must be"),
+        ({"connections": {"driver": Connections(least=-1)}}, "connections", "least and descriptors must be"),
+        ({"connections": {"tcp": Connections()}}, "connections", "connections names [tcp], which is not its table"),
+        ({"connections": {"driver": Connections()}}, "connections", "has no attribute 'max_connections'"),
+    ],
+)
+def test_result_of_a_member_is_checked(facts: dict[str, Any], ask: str, problem: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        getattr(Chosen("driver", type("Odd", (Driver,), facts), Settings()), ask)()
+    assert str(caught.value).startswith("components.driver: ")
+    assert problem in str(caught.value)
+
+
+@pytest.mark.parametrize("most", [-500, 0])
+def test_number_of_connections_must_be_positive(most: int) -> None:
+    settings = make_dataclass("Settings", [("max_connections", int)])(most)
+    chosen = Chosen("driver", type("Many", (Driver,), {"connections": {"driver": Connections()}}), settings)
+    with pytest.raises(ConfigError, match=rf"^driver.max_connections: {most} is not allowed; choose at least 1$"):
+        chosen.connections()
+
+
+def test_failure_of_describe_is_told_in_its_line() -> None:
+    line = Chosen("driver", failing("describe"), Settings()).line()
+    assert line == "driver: describe has failed: ValueError('a bug')"
+
+
+@pytest.mark.usefixtures("entry_points")
+def test_failure_of_is_wanted_and_a_missing_settings_type_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = config_of(tmp_path, "[driver]")
+    monkeypatch.setattr(f"{__name__}.Driver.is_wanted", classmethod(lambda *_: 1 / 0))
+    with pytest.raises(ConfigError, match=r"components\.driver: is_wanted has failed: ZeroDivisionError"):
+        chosen_components(config)
+    monkeypatch.setattr(f"{__name__}.Driver.settings_type", dict)
+    with pytest.raises(ConfigError, match=r"settings_type of .*:Driver is not a dataclass"):
+        chosen_components(config)
+
+
+def test_components_that_use_each_other_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry_points: Iterator[dict[str, EntryPoint]]
+) -> None:
+    assert next(entry_points)
+    monkeypatch.setattr(f"{__name__}.Driver.begins_first", True)
+    monkeypatch.setattr(f"{__name__}.Driver.uses", ("needy",))
+    monkeypatch.setattr(f"{__name__}.NeedyDriver.uses", ("driver",), raising=False)
+    with pytest.raises(ConfigError, match=r"components.\w+: they use each other: (driver - needy|needy - driver) - "):
+        chosen_components(config_of(tmp_path, "[driver]\n[needy]\nport = 1"))
+
+
 # -- what it gets -----------------------------------------------------------------------------------------------------
 
 
@@ -609,7 +815,7 @@ def test_component_runs_by_its_table_or_by_its_switch(tmp_path: Path) -> None:
         ("[driver]\nspeed_m_s = 'x'", "Expected `float`, got `str` - at `$.driver.speed_m_s`"),
         ("driver = 3", "Expected `object`, got `int` - at `$.driver`"),
         ("[needy]", "Object missing required field `port` - at `$.needy`"),
-        ("[components]\nneedy = true", "it needs a table [needy] with its settings"),
+        ("[components]\nneedy = true", "it needs a table [needy] with its settings: port"),
         ("[components]\ndrivr = true", "no installed package has this component; known: broken, driver"),
         ("[components]\ndriver = 1", "Expected `bool`, got `int`"),
         ("[broken]", "no_such_module:X cannot be imported: ModuleNotFoundError"),
@@ -634,6 +840,8 @@ def test_usual_component_runs_unless_it_is_off_and_has_the_tables_that_are_its_o
         ConfigError, match=r"recorder: the settings of this component are in \[recording\] and \[black_b"
     ):
         config_of(tmp_path, "[recorder]")
+    with pytest.raises(ConfigError, match=r"unknown key mqqt; did you mean mqtt\?"):
+        config_of(tmp_path, "[mqqt]")
 
 
 @pytest.mark.parametrize(
