@@ -14,6 +14,7 @@ log = structlog.get_logger()
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 LONGEST_END_S = 8.0  # half a second for the robots, one for each connection, two for mDNS, and as much again
 SHUTDOWN_S = 1.0  # after that the robots are stopped, and a second signal ends the process at once
+MAX_NAMED = 8  # tasks
 FORCED = 1  # exit status
 
 
@@ -53,7 +54,7 @@ class Ending:
         if not self._is_requested.is_set():
             self.cause, self._requested_at_s = cause, now_s
             self._is_requested.set()
-            _force_after(LONGEST_END_S)
+            _force_after(LONGEST_END_S, asyncio.get_running_loop())
             if self._starting is not None:
                 self._starting.cancel()
         elif now_s > self._requested_at_s + SHUTDOWN_S:
@@ -74,11 +75,18 @@ def stop_signals() -> Iterator[Ending]:
             loop.remove_signal_handler(number)
 
 
-def _force_after(seconds: float) -> None:
+def _force_after(seconds: float, loop: asyncio.AbstractEventLoop) -> None:
     """Limit the shutdown by a thread: the event loop may hang, or a driver's thread that the interpreter waits for."""
-    timer = threading.Timer(seconds, _force, [f"the end lasted longer than {seconds:g} s"])
+    timer = threading.Timer(seconds, _force_late, [f"the end lasted longer than {seconds:g} s", loop])
     timer.daemon = True
     timer.start()
+
+
+def _force_late(cause: str, loop: asyncio.AbstractEventLoop) -> None:
+    """End the process; name the tasks that ignore their cancellation, for example those of a component."""
+    names = sorted({task.get_name() for task in asyncio.all_tasks(loop) if task.cancelling()})
+    waits = f"; these tasks ignored it: {', '.join(names[:MAX_NAMED])}" if names else ""
+    _force(f"{cause}{waits}")
 
 
 def _force(cause: str) -> None:

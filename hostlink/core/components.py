@@ -286,15 +286,21 @@ async def supervise(hub: Hub, name: str, make: Make, ready: asyncio.Event | None
             if isinstance(error, ConfigError):
                 raise error
             ready.set()
-        reason = "it ended by itself" if error is None else str(error) or repr(error)
         counts["failures"] += 1
         if loop_time_s() >= began_s + STEADY_S:
             pause_s = FIRST_PAUSE_S
-        hub.diagnoses.observe_own(name, "component_failed", f"{name}: {reason}")
+        reason = _report(hub, name, error)
         log.warning("component.ended", component=name, reason=reason, again_in_s=pause_s)
         await asyncio.sleep(pause_s)
         hub.diagnoses.observe_own(name)
         pause_s = min(2 * pause_s, longest_s)
+
+
+def _report(hub: Hub, name: str, error: BaseException | None) -> str:
+    """Let `hostlink doctor` show why a component has ended. Return the reason."""
+    reason = "it ended by itself" if error is None else str(error) or repr(error)
+    hub.diagnoses.observe_own(name, "component_failed", f"{name}: {reason}")
+    return reason
 
 
 async def _run_once(
@@ -361,8 +367,10 @@ async def hosted(
             async def vital(work: Coroutine[Any, Any, object]) -> None:
                 try:
                     await _contained(work)
-                except Exception:
+                except Exception as error:
                     host.close(is_resumed=is_resumed)
+                    if is_resumed:  # now, because the run may ignore its cancellation
+                        _report(hub, name, error)
                     raise
 
             def spawn(work: Coroutine[Any, Any, object], part: str, *, is_vital: bool) -> None:

@@ -1,6 +1,7 @@
 """A signal that arrives before the daemon has started, and one after it."""
 
 import asyncio
+import contextlib
 from collections.abc import Iterator
 
 import pytest
@@ -13,7 +14,7 @@ from hostlink.cli.ending import Ending
 def forced(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
     """Time limits that were set; the real one would end this process."""
     seconds: list[float] = []
-    monkeypatch.setattr(module, "_force_after", seconds.append)
+    monkeypatch.setattr(module, "_force_after", lambda limit_s, _: seconds.append(limit_s))
     return iter([seconds])
 
 
@@ -51,3 +52,22 @@ def test_cancellation_by_another_passes() -> None:
         return task.cancelled()
 
     assert asyncio.run(cancel())
+
+
+def test_forced_end_names_the_tasks_that_ignore_their_cancellation(monkeypatch: pytest.MonkeyPatch) -> None:
+    causes: list[str] = []
+    monkeypatch.setattr(module, "_force", causes.append)
+
+    async def ignore() -> None:
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.sleep(60.0)
+        module._force_late("the end lasted longer than 8 s", asyncio.get_running_loop())
+
+    async def run() -> None:
+        async with asyncio.TaskGroup() as tasks:
+            task = tasks.create_task(ignore(), name="attack: work")
+            await asyncio.sleep(0)
+            task.cancel()
+
+    asyncio.run(run())
+    assert causes == ["the end lasted longer than 8 s; these tasks ignored it: attack: work"]

@@ -243,6 +243,7 @@ async def test_failed_component_that_swallows_its_cancellation_drives_no_more(ma
         await asyncio.sleep(0.15)
         assert velocities(device)[-1] == (0.0, 0.0)
         assert made.robot().state(made.now_s).holder is None
+        assert made.hub.diagnoses.own["driver"].detail == "driver: spawned"
         await asyncio.sleep(1.0)
         assert velocities(device)[-1] == (0.0, 0.0)
         await asyncio.sleep(4.8)
