@@ -255,7 +255,7 @@ class World:
             is_same = connection is not None and board.connection is connection  # an earlier fault may end it only now
             if after < before + board.least_velocities and is_same:
                 self.journal.add(Failed(self.loop.world_s, f"{board.name} cannot be driven when nothing happens"))
-            if any(board.velocity):
+            if any(board.velocity) and is_same:  # a new connection begins with a zero
                 self.journal.add(Failed(self.loop.world_s, f"{board.name} drives on after the last zero"))
         program.leave()
 
