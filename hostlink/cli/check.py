@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 
-from hostlink.cli.descriptors import connections_of, fitted, ports_of
+from hostlink.cli.descriptors import fewer, ports_of
 from hostlink.cli.output import quantity
 from hostlink.cli.usual import chosen
 from hostlink.core.config import Config, SerialConfig, TcpConfig, UdpConfig, check_port, check_ports, is_place
@@ -60,10 +60,9 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
         else:
             TcpAcceptor(hub, part)  # the key
             warnings += [] if is_listening and part is config.tcp else await _try_port(name, part.host, part.port)
-    fits, most = connections_of(fitted(config, descriptors)), connections_of(config)
-    few = [f"{name}.max_connections {claim.most}" for name, claim in fits.items() if claim.most != most[name].most]
-    if few:
-        warnings.append(f"{descriptors} descriptors (ulimit -n) are enough only for {', '.join(few)}")
+    if few := fewer(config, descriptors):
+        numbers = ", ".join(f"{name}.max_connections {number}" for name, number in few.items())
+        warnings.append(f"{descriptors} descriptors (ulimit -n) are enough only for {numbers}")
     return [*warnings, *_suspicious(config)]
 
 
@@ -77,8 +76,9 @@ def check_settings(config: Config) -> tuple[list[str], dict[str, tuple[str, int]
     warnings: list[str] = []
     listeners: dict[str, tuple[str, int]] = {}
     for each in chosen(config):  # the warnings of those with tables of other names begin with a key
-        warnings += [f"{'' if each.kind.tables else f'{each.name}: '}{warning}" for warning in each.warnings()]
-        listeners |= each.listeners()
+        found, its_listeners = each.checked()
+        warnings += [f"{'' if each.kind.tables else f'{each.name}: '}{warning}" for warning in found]
+        listeners |= its_listeners
     for table, (_, port) in listeners.items():
         check_port(f"{table}.port", port)
     check_ports(config, listeners)

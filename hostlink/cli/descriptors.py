@@ -41,6 +41,16 @@ def limit() -> int:
 def fitted(config: Config, descriptors: int) -> Config:
     """Limit the connections of ports and components so that all of them fit into the descriptors.
 
+    Raises:
+        ConfigError: the process has too few descriptors for what must work.
+    """
+    numbers = fewer(config, descriptors)
+    return _with_connections(config, numbers) if numbers else config
+
+
+def fewer(config: Config, descriptors: int) -> dict[str, int]:
+    """Return the connections of each table whose configured maximum does not fit into the descriptors.
+
     With too few descriptors, each part of the settings gets a share in proportion to its configured maximum.
 
     Raises:
@@ -53,8 +63,7 @@ def fitted(config: Config, descriptors: int) -> Config:
         part = f"; [{largest}] alone needs {most[largest].least}" if most[largest].least > FEWEST else ""
         raise ConfigError("ulimit -n", f"{descriptors} descriptors are too few; allow at least {fewest}{part}")
     found = shares(most, descriptors - OWN - len(config.serial))
-    changed = {name: number for name, number in found.items() if number != most[name].most}
-    return _with_connections(config, changed) if changed else config
+    return {name: number for name, number in found.items() if number != most[name].most}
 
 
 def connections_of(config: Config) -> dict[str, Claim]:

@@ -30,12 +30,14 @@ class Ending:
     @contextlib.contextmanager
     def at_start(self) -> Iterator[None]:
         """End the block at a request before `note_started`: a component may need long to begin."""
-        self._starting = task = asyncio.current_task()
+        self._starting = asyncio.current_task()
         try:
             yield
         except asyncio.CancelledError:
-            if task is None or self._starting is None or not self.cause or task.uncancel():
-                raise
+            if self._starting is None or not self.cause:
+                raise  # it has started, or the cancellation is another's
+            if self._starting.uncancel():
+                raise  # another has cancelled it, too
             log.info("daemon.stop_requested", cause=self.cause)
         finally:
             self._starting = None

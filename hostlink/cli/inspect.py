@@ -170,10 +170,12 @@ class Inspection:
             "time_requests": self._time_requests,
             "skipped_bytes": self._skipped_bytes,
             "connections": len(self._connections) + len(self._others),
-            "protocols": sorted(
-                {ROSSERIAL for _ in self._connections} | {each.protocol for each in self._others.values()}
-            ),
+            "protocols": self._protocols(),
         }
+
+    def _protocols(self) -> list[str]:
+        own = [ROSSERIAL] if self._connections else []
+        return sorted({*own, *(each.protocol for each in self._others.values())})
 
     def _add_items(
         self,

@@ -9,7 +9,6 @@ from hostlink.core import config
 from hostlink.core.config import Config
 from hostlink.core.runtime import plugins
 
-COMPONENTS = "hostlink.components"  # entry points: most have a table of their own name
 TABLES = "hostlink.tables"  # entry points: tables of components whose names are not those of the components
 
 
@@ -36,4 +35,5 @@ def settings_type(name: str) -> type | None:
 
 def table_names() -> Iterable[str]:
     """Return the names of the tables of components, for the hint about an unknown one."""
-    return (*plugins.entry_points(TABLES), *plugins.entry_points(COMPONENTS))
+    group = importlib.import_module("hostlink.core.components").GROUP
+    return (*plugins.entry_points(TABLES), *plugins.entry_points(group))

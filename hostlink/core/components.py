@@ -96,26 +96,18 @@ class Chosen(NamedTuple):
         with _named(self.name, "__init__"):
             return self.kind(self.settings)
 
-    def warnings(self) -> list[str]:
-        """Return its warnings about the settings, without the table's name.
+    def checked(self) -> tuple[list[str], dict[str, tuple[str, int]]]:
+        """Return its warnings, without the table's name, and host and port of its listeners by table.
 
         Raises:
-            ConfigError: the settings cannot be served, or its `check` has failed.
+            ConfigError: the settings cannot be served, or its `check` or `listens` has failed.
         """
         component = self.make()
         with _named(self.name, "check"):
             found = component.check()
-            return msgspec.convert(found if isinstance(found, str) else list(found), list[str])
-
-    def listeners(self) -> dict[str, tuple[str, int]]:
-        """Return host and port of its listeners, by table.
-
-        Raises:
-            ConfigError: its `listens` has failed.
-        """
-        component = self.make()
+            warnings = msgspec.convert(found if isinstance(found, str) else list(found), list[str])
         with _named(self.name, "listens"):
-            return msgspec.convert(component.listens(), dict[str, tuple[str, int]])
+            return warnings, msgspec.convert(component.listens(), dict[str, tuple[str, int]])
 
     def line(self) -> str:
         """Return the line that describes it. A failure is told in the line: the daemon does not need it.

@@ -557,10 +557,10 @@ ADVICE = "correct the component, or write driver = false below [components]"
     ("kind", "ask", "problem"),
     [
         (failing("__init__"), "make", f"__init__ has failed: ValueError('a bug'); {ADVICE}"),
-        (failing("check"), "warnings", f"check has failed: ValueError('a bug'); {ADVICE}"),
-        (failing("check", SystemExit(3)), "warnings", f"check has failed: SystemExit(3); {ADVICE}"),
-        (failing("check", OSError("no disk")), "warnings", f"check has failed: OSError('no disk'); {ADVICE}"),
-        (failing("listens"), "listeners", f"listens has failed: ValueError('a bug'); {ADVICE}"),
+        (failing("check"), "checked", f"check has failed: ValueError('a bug'); {ADVICE}"),
+        (failing("check", SystemExit(3)), "checked", f"check has failed: SystemExit(3); {ADVICE}"),
+        (failing("check", OSError("no disk")), "checked", f"check has failed: OSError('no disk'); {ADVICE}"),
+        (failing("listens"), "checked", f"listens has failed: ValueError('a bug'); {ADVICE}"),
     ],
 )
 def test_member_that_fails_is_named_with_its_component(kind: type[Driver], ask: str, problem: str) -> None:
@@ -572,11 +572,11 @@ def test_member_that_fails_is_named_with_its_component(kind: type[Driver], ask: 
 @pytest.mark.parametrize(
     ("facts", "ask", "problem"),
     [
-        ({"check": lambda _: None}, "warnings", "check has failed"),
-        ({"check": lambda _: "two"}, "warnings", "check has failed"),
-        ({"check": lambda _: [3]}, "warnings", "check has failed"),
-        ({"listens": lambda _: None}, "listeners", "listens has failed"),
-        ({"listens": lambda _: {"driver": ("0.0.0.0", "80")}}, "listeners", "listens has failed"),
+        ({"check": lambda _: None}, "checked", "check has failed"),
+        ({"check": lambda _: "two"}, "checked", "check has failed"),
+        ({"check": lambda _: [3]}, "checked", "check has failed"),
+        ({"listens": lambda _: None}, "checked", "listens has failed"),
+        ({"listens": lambda _: {"driver": ("0.0.0.0", "80")}}, "checked", "listens has failed"),
         ({"connections": 7}, "connections", "connections has failed"),
         ({"connections": property(lambda _: {})}, "connections", "connections has failed"),
         ({"connections": {"driver": Connections(descriptors=0)}}, "connections", "least and descriptors must be"),
