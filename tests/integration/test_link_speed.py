@@ -16,12 +16,13 @@ from hostlink.core.protocol.rosserial.session import Session
 from hostlink.core.protocol.rosserial.stream import FrameStream
 from hostlink.core.transport.base import READ_BYTES
 from tests.support.memory_transport import memory_pair
+from tests.support.virtual_loop import run_virtual
 
 INFO = DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/long", "std_msgs/String", "m", 2048)
 HELLO = encode(Id.TIME, bytes(8)) + encode(Id.PUBLISHER, encode_topic_info(INFO)) + encode(Id.TIME, bytes(8))
 FRAMES = 4000
 ROUNDS = 7
-LEAST_SHARE = 0.2  # 0.24 to 0.43 with other programs running; frames of 1 KiB that are read in three parts reach 0.15
+LEAST_SHARE = 0.2  # the best round: 0.28 to 0.47, also with two busy programs running; in pieces of 512 bytes 0.17
 
 
 def _ignore(_link: Link, _event: Event) -> None:
@@ -59,9 +60,13 @@ async def link_s(read: bytes, reads: int) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("payload_bytes", [24, 200, 1024])
 def test_a_link_reads_frames_of_any_length_at_a_share_of_its_parser_alone(payload_bytes: int) -> None:
-    """Processor time, alternating: what else runs on the machine disturbs both alike. The best round counts."""
+    """Processor time, alternating: what else runs on the machine disturbs both alike. The best round counts.
+
+    In virtual time a piece costs no time, so its size does not depend on the machine: on a slow one a link reads frames
+    of 200 bytes in pieces of 512, and has the share that this test refuses.
+    """
     frame = encode(INFO.id, bytes(number % 251 for number in range(payload_bytes)))
     read = frame * max(1, READ_BYTES // len(frame))
     reads = FRAMES * len(frame) // len(read)
-    shares = [parser_s(read, reads) / asyncio.run(link_s(read, reads)) for _ in range(ROUNDS)]
+    shares = [parser_s(read, reads) / run_virtual(link_s(read, reads)) for _ in range(ROUNDS)]
     assert max(shares) > LEAST_SHARE, shares
