@@ -1374,7 +1374,11 @@ def test_ids_of_endpoints_tell_client_and_object() -> None:
 
 
 def test_parameters_are_not_answered() -> None:
-    made().answer_parameter("x", Parameter())
+    session = made()
+    while session.pop_frame(now_s=0.0, wall_ns=0) is not None:
+        pass
+    session.answer_parameter("x", Parameter())
+    assert session.pop_frame(now_s=0.0, wall_ns=0) is None
 
 
 def test_protocol_knows_its_greeting_and_answers_pings_without_a_session() -> None:
