@@ -11,7 +11,7 @@ const TILES: Record<Tile, [label: string, hint: string]> = {
   rate: ["Odometry", "messages a second that tell its motion"],
   age: ["Last byte", "time since the device's last byte"],
   lost: ["Skipped", "bytes from the device that were not part of a valid frame"],
-  resyncs: ["Resyncs", "how often the topics were negotiated again"],
+  resyncs: ["Resyncs", "how often the device announced its topics again"],
   page: ["RTT host", "round trip from this page to hostlink"],
   device: ["RTT device", "round trip from hostlink to the device"],
   signal: ["WiFi", "signal strength of the device's WiFi"],
