@@ -5,6 +5,7 @@ import contextvars
 import dataclasses
 import math
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -67,21 +68,20 @@ class Trouble:
 
     def __init__(self, now_s: float) -> None:
         self.due_s = now_s + TROUBLE_INTERVAL_S  # time of the next report
-        self._logged: dict[str, int] = {}
+        self._logged: Counter[str] = Counter()
 
     def report(self, session: DeviceSession, now_s: float) -> None:
         """Log the new counts, if there are any. Call it when it is due."""
         self.due_s = now_s + TROUBLE_INTERVAL_S
         counts = session.counts
-        total = {
-            "skipped_bytes": counts.skipped_bytes,
-            "unknown_ids": counts.unknown_ids,
-            "refused_frames": counts.refused_frames,
-            "malformed": counts.malformed,
+        total = Counter(
+            skipped_bytes=counts.skipped_bytes,
+            unknown_ids=counts.unknown_ids,
+            refused_frames=counts.refused_frames,
+            malformed=counts.malformed,
             **session.rejected,
-        }
-        before = self._logged
-        new = {name: count - before.get(name, 0) for name, count in total.items() if count > before.get(name, 0)}
+        )
+        new = total - self._logged
         self._logged = total
         if new:
             log.warning("link.trouble", **new)
