@@ -56,10 +56,15 @@ _SUSPECT: Final = re.compile(
     re.IGNORECASE,
 )
 _SPOKEN: Final = re.compile(r"input|arduino|ard_|_ard|key|direction|action|manual|teleop|wasd", re.IGNORECASE)  # texts
-_SERVO: Final = re.compile(
-    r"servo|(?:^|[/_])arm(?![a-z])|joint|gripper|claw|angle|position|actuat|stepper|lift|wing", re.IGNORECASE
+# Of the words of a last part, the first of these that is found decides whether its number is a rate or a position.
+_RATE: Final = re.compile(r"(?<!le)vel(ocity|ocities)?(?![a-z])|speed|spd|rpm|throttle|dut(y|ies)", re.IGNORECASE)
+_POSITION: Final = re.compile(r"servo|stepper|angle|position", re.IGNORECASE)
+_MOTOR: Final = re.compile(r"motor|wheel|pwm|steer", re.IGNORECASE)
+# Words of a whole name whose motors set positions.
+_ACTUATOR: Final = re.compile(
+    rf"{_POSITION.pattern}|(?:^|[/_])arm(?![a-z])|joint|gripper|claw|actuat|lift|(?:^|[/_]|left|right)wing",
+    re.IGNORECASE,
 )
-_WHEEL: Final = re.compile(r"vel(ocity)?$|motor|wheel|speed|pwm|throttle|rpm|steer", re.IGNORECASE)
 _TRIGGER: Final = re.compile(
     r"open|close|launch|fire|shoot|release|drop|grip|kick|throw|pick|forward|backward|^(back|left|right|go|turn)",
     re.IGNORECASE,
@@ -560,14 +565,15 @@ def _looks_like_motion(endpoint: Endpoint, robots: Collection[tuple[str, ...]]) 
 
 
 def _is_position(endpoint: Endpoint) -> bool:
-    """Whether it sets a position or starts a movement. In the namespace of an arm, a motor is a motor all the same."""
+    """Whether it sets a position or starts a movement. A speed or a motor of an arm is a motion all the same."""
     if endpoint.type_name in _TRIGGERS:
         return _TRIGGER.search(leaf_of(endpoint.name)) is not None
     if endpoint.type_name == JOINT_STATE_TYPE:
         return True
     leaf = leaf_of(endpoint.name)
-    is_servo = _SERVO.search(leaf) is not None or (_SERVO.search(endpoint.name) and not _WHEEL.search(leaf))
-    return _is_motor(endpoint) and bool(is_servo)
+    if not _is_motor(endpoint) or _RATE.search(leaf):
+        return False
+    return bool(_POSITION.search(leaf) or (_ACTUATOR.search(endpoint.name) and not _MOTOR.search(leaf)))
 
 
 def _wheel_topics(suspects: Sequence[Endpoint]) -> list[str]:

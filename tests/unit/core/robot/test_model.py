@@ -308,6 +308,16 @@ SUSPECTS = [
     ("thruster_speed", "bbauv_msgs/thruster"),
     ("/arm/wheel", INT16),
     ("/swarm_1/left_wheel", INT16),
+    ("left_wheel_joint_velocity", "std_msgs/Float64"),
+    ("wheel_joint_cmd", "std_msgs/Float64"),
+    ("joint1_vel", FLOAT32),
+    ("following_speed", FLOAT32),
+    ("drawing_vel", FLOAT32),
+    ("swing_motor", INT16),
+    ("arm_motor_pwm", INT16),
+    ("lift_motor", INT16),
+    ("stepper_motor_speed", INT16),
+    ("servo_speed", FLOAT32),
 ]
 ACTUATORS = [
     ("servo1", "std_msgs/UInt16"),
@@ -322,6 +332,12 @@ ACTUATORS = [
     ("open_gripper", EMPTY),
     ("on_off_gripper", "std_msgs/Bool"),
     ("launch_torpedo1", EMPTY),
+    ("servo_pwm", INT16),
+    ("stepper_motor", INT16),
+    ("motor_angle", FLOAT32),
+    ("left_wheel_position", FLOAT32),
+    ("left_wing", INT16),
+    ("lift_level", FLOAT32),
 ]
 DATA = [
     ("/chatter", STRING_TYPE),
