@@ -281,7 +281,7 @@ def sent_sentence(robot: RobotState) -> str:
     """Return what a stop without a measurement has done, as a sentence."""
     name, cause = robot["name"], robot.get("unreachable")
     if not robot["connected"]:
-        return f"{name}: not sent a zero: its device is not connected"
+        return f"{name}: not sent a zero: {cause or 'its device is not connected'}"
     return f"{name}: zero sent" if cause is None else f"{name}: zero sent as far as possible: {cause}"
 
 

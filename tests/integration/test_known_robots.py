@@ -110,7 +110,7 @@ def test_a_locked_robot_is_not_forgotten_and_is_locked_when_it_is_back() -> None
         await visit(hub, robot_topics("robot_0"))
         hub.robots.find("robot_0").lock("a person is near")
         for number in range(MAX_AWAY + 10):
-            await visit(hub, robot_topics(f"crowd_{number}"))
+            await visit(hub, robot_topics(f"crowd_{number}"), address=f"10.0.1.{number}")
         await asyncio.sleep(10 * FORGET_S)
         assert known(hub) == ["robot_0"]
         device = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.2")
@@ -135,7 +135,7 @@ def test_a_robot_that_is_driven_while_others_are_forgotten_drives_on() -> None:
         robot = hub.robots.find("robot_0")
         for number in range(MAX_AWAY + 10):
             drive_gate(robot, PlanarVelocity(x_m_s=0.1), owner="test")
-            await visit(hub, robot_topics(f"crowd_{number}"))
+            await visit(hub, robot_topics(f"crowd_{number}"), address=f"10.0.1.{number}")
         assert robot.gate.owner_name == "test"
         await device.aclose()
 

@@ -112,9 +112,8 @@ def endpoints_of(infos: Iterable[DeviceEndpoint]) -> list[Endpoint]:
 class Registry(Protocol):
     """Registry of devices and robots, as a device knows it."""
 
-    @property
-    def boards(self) -> Admission:
-        """Admission whose lock holds for every board that is not a robot."""
+    def lock_of(self, device: "Device") -> Admission:
+        """Return the admission whose lock holds for a device without a robot: of one that it may be, or of all."""
 
     @property
     def devices(self) -> Mapping[int, "Device"]:
@@ -320,9 +319,9 @@ class Device:
 
     @property
     def lock(self) -> Admission:
-        """Admission whose lock holds for its topics without a gate: the robot's, or that of all boards without one."""
+        """Admission whose lock holds for its topics without a gate: the robot's, or that of a device without one."""
         robot = self._robot
-        return self._registry.boards if robot is None else robot.admission
+        return self._registry.lock_of(self) if robot is None else robot.admission
 
     @property
     def _robot(self) -> LocalRobot | None:
@@ -536,7 +535,7 @@ class Device:
             send = partial(self._send, info.name, robot if is_reset else None)
             if info.type in POSE_TYPES:
                 send = partial(self._send_pose, info)
-            subscription = DeviceSubscription(send, is_gate=False, is_command=is_reset)
+            subscription = DeviceSubscription(send, is_gate=False, is_command=is_reset or self._may_move(info, robot))
         else:
             subscription = DeviceSubscription(drivable.receive, is_gate=True, target=drivable)
         topic = self._shared.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
@@ -544,6 +543,12 @@ class Device:
             drivable.echoes[topic.name] = Echo(topic, output)
             if robot is None:  # a robot's gate has joined before
                 drivable.join(topic)
+
+    def _may_move(self, info: DeviceEndpoint, robot: LocalRobot | None) -> bool:
+        """Whether a topic without a gate looks like a command, or is one that a lock refuses by the settings."""
+        endpoint = Endpoint(info.name, info.type, info.is_to_device)
+        guarded = self.guarded.union(() if robot is None else (each.name for each in robot.topics.commands))
+        return info.name in self.settings.locked or bool(unguarded([endpoint], self.settings, guarded))
 
     def _is_velocity(self, info: DeviceEndpoint) -> bool:
         """Whether a topic drives the device by its type and name, and by the robot's settings."""
@@ -569,9 +574,9 @@ class Device:
             return Drivable(name=shown, commands=commands_of((topic,), config), gate=gate, gates=self._shared.gates)
         if robot is None:
             shown = self.shown.of(info.name)
-            admission, boards = Admission(shown, drive=None), self._registry.boards
-            if boards.lock_reason is not None:
-                admission.lock(boards.lock_reason, loop_time_s(), by=boards.locked_by)
+            admission = Admission(shown, drive=None)
+            if self.lock.lock_reason is not None:
+                admission.lock(self.lock.lock_reason, loop_time_s(), by=self.lock.locked_by)
             spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
             commands = commands_of((topic,), RobotConfig())
             return Drivable(name=shown, commands=commands, gate=spatial, gates=self._shared.gates)

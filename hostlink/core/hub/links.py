@@ -294,6 +294,19 @@ class Links:
                 raise ReloadRefused(f"{name} is driven: stop it before its name changes")
             if robot.gate.lock_reason is not None:
                 raise ReloadRefused(f"{name} is locked: unlock it before its name changes")
+        for device in self._devices.values():
+            for name in sorted(self._held(device) - self._held(device, places)):
+                robot = self._robots.get_here(name)
+                if robot is not None and robot.gate.lock_reason is not None:
+                    raise ReloadRefused(f"{name} is locked: unlock it before {device.link.peer} leaves it")
+
+    def _held(self, device: Device, places: Places | None = None) -> set[str]:
+        """Return the robots whose lock holds for a device by the settings, or would by these places."""
+        member, placed = device.member, self._directory.placed(_origin(device.link))
+        if places is None:
+            return {*(() if member is None else (member.robot,)), *(self._robots.may_be(device) & set(placed))}
+        kept = set() if member is None or not places.keeps(member.robot, member, is_connected=True) else {member.robot}
+        return kept | set(places.nearest(_origin(device.link)))
 
     def reconfigure(self, places: Places, settings: Mapping[str, CommandSettings]) -> dict[str, str]:
         """Replace the configured addresses and commands of robots.
@@ -322,7 +335,7 @@ class Links:
         found = []
         for number, device in self._devices.items():
             link = device.link
-            settings = self._directory.find(device.endpoints, Origin("", link.address, link.peer))[1]
+            settings = self._directory.find(device.endpoints, _origin(link))[1]
             if device.infos and settings != device.settings:
                 found.append(number)
         return found
@@ -394,6 +407,10 @@ class Links:
         joined = {each.robot for each in (device.member, claim.member) if each is not None}
         before_member = device.member
         device.settings, device.member = claim.settings, claim.member
+        if claim.robot is None and claim.member is None and not device.diagnosis.is_played:
+            joined |= self._robots.note_candidate(device, self._directory.placed(_origin(device.link)))
+        else:
+            joined |= self._robots.forget_candidate(device)
         if claim.member is not None and claim.member.is_waiting and claim.member != before_member:
             name, place, _ = claim.member
             log.warning("robot.device_twice", robot=name, device=printable(place), peer=printable(device.link.peer))
@@ -407,6 +424,7 @@ class Links:
         else:
             changed.append(robot)
         device.is_undecided = False
+        joined |= {each.name for each in changed if self._robots.has_candidate(each.name)}
         changed += self._regroup(joined)
         device.refused_settings = self._misfit(device, claim)
         self._robot_topics.update(changed, touched | device.names)
@@ -453,6 +471,8 @@ class Links:
         if before is not robot and robot.gate.lock_reason is None:
             other = None if claim.is_certain else robots.locked_likewise(robot)
             other = other or self._locked_before(device, robot, claim)
+            if other is None and not self._directory.placed(_origin(device.link)):
+                other = robots.locked_before(device, robot)
             if other is not None:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
                     reason = f"it may be {other.name}: {other.gate.lock_reason}"
@@ -534,9 +554,8 @@ class Links:
 
         The first is empty if it is not a robot.
         """
-        link = device.link
-        origin, configured = Origin("", link.address, link.peer), self._shared.config.robots
-        found, chosen = self._directory.explain(device.endpoints, origin)
+        link, configured = device.link, self._shared.config.robots
+        found, chosen = self._directory.explain(device.endpoints, _origin(link))
         robot = device.robot
         settings = chosen if chosen is not None else robot.name if robot and robot.name in configured else None
         if robot is None:
@@ -569,7 +588,10 @@ class Links:
         touched, robot = device.names, self._robots.vanish(device)
         device.leave()
         member, device.member = device.member, None
-        changed = self._regroup(() if member is None else (member.robot,))
+        joined = self._robots.forget_candidate(device)
+        joined |= set() if member is None else {member.robot}
+        joined |= {robot.name} if robot is not None and self._robots.has_candidate(robot.name) else set()
+        changed = self._regroup(joined)
         if robot is not None and robot not in changed:
             changed.append(robot)
         if changed or touched:
@@ -596,6 +618,10 @@ class Links:
                 self._identify(device)
                 return
             await asyncio.sleep(DECIDE_INTERVAL_S)
+
+
+def _origin(link: Link) -> Origin:
+    return Origin("", link.address, link.peer)
 
 
 def commands_by_name(config: Config) -> dict[str, CommandSettings]:

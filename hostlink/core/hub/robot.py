@@ -43,7 +43,10 @@ class LocalRobot(Drivable, AnyRobot):
     shown: RobotTopicNames  # names in the graph
     on_lock: "Callable[[LocalRobot], None]"  # called after a lock or unlock: a locked robot is never forgotten
     locked_link: Link | None = None  # link at the time of the lock
-    parts: tuple[Connection, ...] = ()  # its other devices, if it consists of several
+    # Its other devices if it has several; else, while its own is away, those that may be it without its command.
+    parts: tuple[Connection, ...] = ()
+    last_link: int = 0  # number of the link of its last device
+    last_address: str = ""  # of its last device
     feedback_links: dict[tuple[str, str], Link] | None = None  # of each topic of its feedback; None: its own link
     has_had_device: bool = False  # one that is not a recording
     host: None = None
@@ -106,9 +109,9 @@ class LocalRobot(Drivable, AnyRobot):
 
     @property
     def _unreachable(self) -> str | None:
-        """Return why it cannot be driven or stopped although its device is connected; None if it can."""
+        """Return why it cannot be driven or stopped although a device of it is connected; None if it can."""
         if self.connection is None:
-            return self.refusals.cause
+            return self.refusals.cause or self.admission.missing or None
         return self.refusals.cause or self.admission.missing or self.no_stop or None
 
     def _device_errors(self, connection: Connection) -> tuple[str, ...]:
@@ -171,7 +174,8 @@ class LocalRobot(Drivable, AnyRobot):
     @property
     def unguarded_endpoints(self) -> list[CommandEndpoint]:
         """Return what else its devices take that looks like a command, after a stop or a lock."""
-        return [each for device in self.devices for each in device.unguarded_endpoints()]
+        found = (each for device in self.devices for each in device.unguarded_endpoints())
+        return [each._replace(robot=self.name) for each in found]
 
     def unlock(self, *, by: str | None = None) -> None:
         """Admit commands again. Robots of its name at other daemons are not unlocked."""

@@ -91,6 +91,8 @@ class Robots:
     - the robots of this daemon by name, connected or not.
     - `remote`: the robots that components announce, by name.
     - `boards`: the lock of everything that is not a robot. A lock of all also locks robots that are seen later.
+    - the robots that a device without one may be, because the settings place them where it is, or because it has their
+      command and their last address. While such a robot is away, its stop and its lock hold for the device.
 
     The Directory decides from the announced topics which robot a device is; the registry keeps the decisions. No other
     part has a table of links or robots.
@@ -119,6 +121,7 @@ class Robots:
         self.boards = Admission("every board", drive=None)
         self._numbers = itertools.count(1)
         self._robots: dict[str, LocalRobot] = {}
+        self._may_be: dict[int, frozenset[str]] = {}  # robots that a device without one may be, by its link
         self._earlier = EarlierCommands()
         self._away = RetentionPolicy(config.link.forget_robot_after_s)  # robots that may be forgotten
         self._wake = asyncio.Event()
@@ -256,6 +259,58 @@ class Robots:
     def is_known(self, robot: AnyRobot) -> bool:
         """Whether a robot is not forgotten."""
         return robot in (self._robots.get(robot.name), self.remote.get(robot.name))
+
+    def lock_of(self, device: Device) -> Admission:
+        """Return the admission whose lock holds for a device without a robot: of one that it may be, or of all."""
+        names = self._may_be.get(device.link.number, ())
+        found = (self._robots[name] for name in sorted(names) if name in self._robots)
+        away = (robot.admission for robot in found if robot.connection is None)
+        return next((each for each in away if each.lock_reason is not None), self.boards)
+
+    def may_be(self, device: Device) -> frozenset[str]:
+        """Return the robots that a device without one may be."""
+        return self._may_be.get(device.link.number, frozenset())
+
+    def has_candidate(self, name: str) -> bool:
+        """Whether a device without a robot may be this one."""
+        return any(name in names for names in self._may_be.values())
+
+    def note_candidate(self, device: Device, placed: Iterable[str]) -> set[str]:
+        """Note which robots a device may be: those `placed` where it is, and those whose command and address it has.
+
+        Return the names of these robots, and of those that it could have been before.
+        """
+        before = self._may_be.pop(device.link.number, frozenset())
+        commands = {(each.name, each.type_name) for each in device.endpoints if each.is_to_device}
+        alike = (
+            robot.name
+            for robot in self._robots.values()
+            if robot.last_address == device.link.address and not commands.isdisjoint(robot.topics.commands)
+        )
+        names = frozenset(name for name in (*placed, *alike) if not self.config_of(name).devices)
+        if names:
+            self._may_be[device.link.number] = names
+        return {*before, *names}
+
+    def forget_candidate(self, device: Device) -> set[str]:
+        """Note that a device is a robot, or has left. Return the names of the robots that it could have been."""
+        return set(self._may_be.pop(device.link.number, ()))
+
+    def locked_before(self, device: Device, robot: LocalRobot) -> LocalRobot | None:
+        """Return a locked robot that is away and that this one may be, by its device; None if there is none.
+
+        It had the same link; or the same address, and the same command or no neighbour that is not locked and away.
+        """
+        link = device.link
+        there = [each for each in self._robots.values() if each.last_address == link.address and each is not robot]
+        locked = [each for each in there if each.connection is None and each.gate.lock_reason is not None]
+        commands = robot.topics.commands
+        same = (
+            each
+            for each in locked
+            if each.last_link == link.number or not set(each.topics.commands).isdisjoint(commands) or locked == there
+        )
+        return next(same, None)
 
     def locked_likewise(self, robot: LocalRobot) -> LocalRobot | None:
         """Return a locked robot that may be this one, reconnected under another name; None if there is none."""
@@ -413,6 +468,7 @@ class Robots:
         _configure(robot)  # its drive follows from its command
         robot.battery = None
         device.robot = robot
+        robot.last_link, robot.last_address = device.link.number, device.link.address
         device.diagnosis.monitor.motion.topic = topics.odometry or ""
         self._away.remove(name)
         self._gates.attach(robot, device)
@@ -447,10 +503,9 @@ class Robots:
         members = {member.place: device for member, device in found if not member.is_waiting}
         waiting = [(member, device) for member, device in found if member.is_waiting]
         config = self.config_of(name) if robot is None else robot.config
-        if not config.devices:  # no longer of several
+        if not config.devices:
             if robot is not None:
-                self._note_parts(robot, (), None)
-                self._gates.note_missing([robot], "")
+                self._note_candidates(robot)
             return robot
         endpoints = {place: device.endpoints for place, device in members.items()}
         parts = parts_of(name, command_settings(config), endpoints)
@@ -475,12 +530,28 @@ class Robots:
         elif before and not parts.why_not:
             log.info("robot.complete", robot=name)
         self._read_parts(robot, parts, members)
+        self._lock_beside(robot)
+        return robot
+
+    def _note_candidates(self, robot: LocalRobot) -> None:
+        """Let the stop and the lock of a robot that is away hold for the devices that may be it."""
+        found = (self.devices[link] for link, names in self._may_be.items() if robot.name in names)
+        here, before = () if robot.connection is not None else tuple(found), robot.parts
+        self._note_parts(robot, here, None)
+        for device in here:
+            if robot.gate.lock_reason is not None and device not in before:
+                device.stop_unguarded()
+        peers = " and ".join(device.link.peer for device in here)
+        self._gates.note_missing([robot], peers and f"{peers}, which may be its device, takes no velocity of it")
+        self._lock_beside(robot)
+
+    def _lock_beside(self, robot: LocalRobot) -> None:
+        """Lock the velocity topics of a locked robot's devices that have come since."""
+        reason = robot.gate.lock_reason
         for drivable in robot.beside:
-            reason = robot.gate.lock_reason
             if reason is not None and drivable.admission.lock_reason is None:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
                     self._gates.lock([drivable], reason, by=robot.admission.locked_by)
-        return robot
 
     def boards_of(self, device: Device) -> list[Device]:
         """Return all devices of the robot of this one; none while one of several is not connected."""
@@ -500,7 +571,7 @@ class Robots:
     ) -> None:
         touched = (*robot.parts, *parts)
         for device in self.devices.values():  # what has left reads nothing
-            if device in touched:
+            if device in touched and device is not robot.connection:
                 device.read_for(None)
         robot.parts, robot.feedback_links = parts, links
 

@@ -570,6 +570,10 @@ class Directory:
             return False
         return self._holders.get(member, gone) != gone or (gone is not None and self._entries[gone].is_waiting)
 
+    def placed(self, origin: Origin) -> list[str]:
+        """Return the robots that the settings place at the device's port, or else at its address."""
+        return self._names.places.nearest(origin)
+
     def is_free(self, member: Membership) -> bool:
         """Whether no device has this place of a robot."""
         return member._replace(is_waiting=False) not in self._holders

@@ -211,3 +211,36 @@ def test_settings_that_do_not_fit_leave_the_wheels_unguarded_and_named() -> None
         assert [each.topic for each in made.hub.robots.stop_all()] == ["/left_motor"]
 
     in_hub(test, Config(robots={"car": RobotConfig(wheels=wheels)}))
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "is_sent"),
+    [
+        ("/left_motor", Config(), False),
+        ("/left_motor", Config(robots={"r": RobotConfig(address="10.0.0.2", not_commands=("left_motor",))}), True),
+        ("/lifter", Config(robots={"r": RobotConfig(address="10.0.0.2", locked_topics=("lifter",))}), False),
+        ("/lifter", Config(), True),
+        ("/big_wheel/lamp", Config(), True),  # of a robot that is named big_wheel
+    ],
+)
+def test_latched_message_is_not_sent_again_where_it_may_move_something(
+    name: str, config: Config, *, is_sent: bool
+) -> None:
+    async def test(made: MemoryHub) -> None:
+        source = made.hub.join("program")
+        source.advertise(name, "std_msgs/Int16", is_latched=True)
+        infos = [*board(name), topic(EndpointKind.SUBSCRIBER, TWIST, "/big_wheel/cmd_vel", TWIST_TYPE)]
+        device = await made.connect(infos if "wheel" in name else board(name))
+        source.publish(name, NUMBER)
+        await asyncio.sleep(SETTLED_S)
+        assert device.payloads(LEFT) == [NUMBER]
+        made.hub.robots.stop_all()
+        device.heard.clear()
+        await device.announce()
+        await device.announce()
+        await asyncio.sleep(SETTLED_S)
+        await device.aclose()
+        again = await made.connect(device.infos)
+        assert (NUMBER in device.payloads(LEFT), NUMBER in again.payloads(LEFT)) == (is_sent, is_sent)
+
+    in_hub(test, config)
