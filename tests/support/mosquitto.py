@@ -11,6 +11,7 @@ from typing import Any
 
 import aiomqtt
 
+from hostlink.core.runtime.cancellation import raise_if_cancelled
 from tests.support.waiting import TIMEOUT_S, expect
 
 PROGRAM = shutil.which("mosquitto") or "/usr/sbin/mosquitto"
@@ -82,6 +83,7 @@ class Program:
     async def drive(self, linear: float, robot: str = "robot_0", **fields: object) -> None:
         payload = json.dumps({"linear": linear, "sent_s": time.time(), **fields})
         await self._client.publish(f"hostlink/robots/{robot}/drive", payload)
+        raise_if_cancelled()  # asyncio.wait_for, by which the client waits, drops a cancellation in Python 3.11
 
     async def ask(self, topic: str, payload: str = "", *, retain: bool = False) -> dict[str, Any]:
         """Send a command; returns its answer."""

@@ -16,6 +16,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from hostlink.components.mqtt.settings import MqttSettings
+from hostlink.core.runtime.cancellation import raise_if_cancelled
 from hostlink.errors import ConfigError
 
 TIMEOUT_S: Final = 3.0  # for each answer of the broker
@@ -29,7 +30,10 @@ Receive = Callable[[aiomqtt.Message], None]
 
 
 class Connection:
-    """One connection to the broker. Raises ConnectionError when it ends."""
+    """One connection to the broker. Raises ConnectionError when it ends.
+
+    aiomqtt waits with `asyncio.wait_for`, which in Python 3.11 drops a cancellation that arrives with the answer.
+    """
 
     def __init__(self, client: aiomqtt.Client, broker: str) -> None:
         self._client, self._broker = client, broker
@@ -38,6 +42,7 @@ class Connection:
         """Publish; returns when the message is written."""
         with as_os_errors(self._broker):
             await self._client.publish(topic, payload, qos=qos, retain=retain)
+        raise_if_cancelled()
 
     async def subscribe(
         self, filters: list[str], *, qos: int, own: bool = True, as_published: bool = True
@@ -49,6 +54,7 @@ class Connection:
         options = SubscribeOptions(qos=qos, noLocal=not own, retainAsPublished=as_published)
         with as_os_errors(self._broker):
             codes = await self._client.subscribe([(each, options) for each in filters])
+        raise_if_cancelled()
         return [each for each, code in zip(filters, codes, strict=True) if _is_failure(code)]
 
     async def ended(self) -> None:

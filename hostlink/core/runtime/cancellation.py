@@ -29,7 +29,7 @@ def first_error(error: BaseException) -> BaseException:
 
 
 def raise_if_cancelled() -> None:
-    """Raise the cancellation that an `except*` block hides. Call it after the block.
+    """Raise the cancellation that an `except*` block hides, or that a library has dropped. Call it after the block.
 
     Never call it in the block: before Python 3.11.4 the exception would leave the block in an exception group.
 

@@ -1,12 +1,15 @@
 """Errors of the broker's connection as one line for people, and the files of the login."""
 
+import asyncio
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import aiomqtt
 import pytest
 
-from hostlink.components.mqtt.broker import as_os_errors, load_tls, read_password
+from hostlink.components.mqtt.broker import Connection, as_os_errors, load_tls, read_password
 from hostlink.components.mqtt.mqtt import Mqtt
 from hostlink.components.mqtt.settings import MqttSettings
 from hostlink.errors import ConfigError, LibraryMissing
@@ -29,6 +32,26 @@ def test_connection_that_fails_has_the_systems_text() -> None:
     text = raised(aiomqtt.MqttError("[Errno 111] Connection refused"))
     assert text == "mqtt://a:1883: Connection refused; is the broker running, and reachable from here?"
     assert "the broker has closed the connection" in raised(aiomqtt.MqttError("ended"), aiomqtt.MqttCodeError(128))
+
+
+@pytest.mark.parametrize("work", ["publish", "subscribe"])
+async def test_cancellation_that_arrives_with_the_answer_ends_the_task(work: str) -> None:
+    async def drop(*_: object, **__: object) -> list[int]:
+        """Return after a cancellation, as asyncio.wait_for of Python 3.11 does when its future is done."""
+        try:
+            await asyncio.sleep(60)
+        except asyncio.CancelledError:
+            return []
+        raise AssertionError
+
+    client: Any = SimpleNamespace(publish=drop, subscribe=drop)
+    connection = Connection(client, "mqtt://a:1883")
+    call = connection.publish("a", b"") if work == "publish" else connection.subscribe([], qos=0)
+    task = asyncio.get_running_loop().create_task(call)  # type: ignore[arg-type]
+    await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
 
 
 def test_defect_of_a_callback_is_not_an_error_of_the_network() -> None:
