@@ -6,6 +6,7 @@ import socket
 import pytest
 
 from hostlink.core.protocol import link_evidence
+from tests.integration.test_metrics import metrics
 from tests.integration.test_micro_ros import CONFIG, address_of, robot_of
 from tests.support.daemon import Daemon, daemon
 from tests.support.waiting import expect
@@ -51,3 +52,13 @@ async def test_board_in_the_session_of_its_agent_is_found_until_it_begins_one_he
         async with udp_board(address, stock()):
             await robot_of(host)
             assert (await host.get("/api/diagnosis"))["findings"] == []
+
+
+async def test_lost_messages_of_a_board_are_in_the_views() -> None:
+    async with daemon(CONFIG) as host, udp_board(address_of(host, "udp"), stock(is_reliable=False)):
+        name = await robot_of(host)
+        host.hub.links.all()[0].session.counts.lost_messages = 23
+        (link,) = (await host.get("/api/links"))["links"]
+        assert link["lost_messages"] == 23
+        found = await metrics(host)
+        assert found[f"hostlink_link_lost_messages_total[('peer', '127.0.0.1'), ('robot', '{name}')]"] == 23

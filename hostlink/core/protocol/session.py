@@ -31,6 +31,7 @@ class SessionCounts:
     excess_topics: int = 0  # topics above max_topics
     negotiations: int = 0
     topic_requests: int = 0
+    lost_messages: int = 0  # of the device, lost on their way: where its messages have numbers
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

@@ -103,15 +103,14 @@ class Quality:
     """Counts of one connection for a diagnosis, since the link opened."""
 
     __slots__ = (
-        "best_effort", "best_effort_late", "best_effort_lost", "creations", "deleted", "duplicates", "missing", "pings",
-        "reliable", "resent", "restarts", "resumed", "unknown", "unread", "waits",
+        "best_effort", "best_effort_late", "creations", "deleted", "duplicates", "missing", "pings", "reliable",
+        "resent", "restarts", "resumed", "unknown", "unread", "waits",
     )  # fmt: skip
 
     def __init__(self) -> None:
         self.pings = 0  # of a client, or before there is one
         self.creations = 0  # CREATE_CLIENT
-        self.best_effort = 0  # messages
-        self.best_effort_lost = 0  # gaps in the numbers: exact
+        self.best_effort = 0  # messages; those that were lost are in the SessionCounts
         self.best_effort_late = 0
         self.reliable = 0  # messages, each counted once
         self.duplicates = 0  # messages that the device sent twice, unless it was asked for them while it began
@@ -323,7 +322,7 @@ class XrceSession(DeviceSession):
         return OwnCounts(
             greetings=q.pings + q.creations,
             best_effort=q.best_effort,
-            best_effort_lost=q.best_effort_lost,
+            best_effort_lost=self.counts.lost_messages,
             reliable=q.reliable,
             duplicates=q.duplicates,
             missing=q.missing,
@@ -715,7 +714,7 @@ class XrceSession(DeviceSession):
                 self.quality.best_effort_late += 1
                 return
             self.quality.best_effort += 1
-            self.quality.best_effort_lost += lost
+            self.counts.lost_messages += lost  # gaps in the numbers: exact
             for each in self._submessages(message.body):
                 self._handle(client, stream, each, found)
             return

@@ -1313,7 +1313,7 @@ def test_best_effort_losses_are_counted_exactly() -> None:
         here.client.best_effort = number
         here.client.publish_best_effort(WRITER, cdr("std_msgs/String", {"data": "a"}))
     here.do(here.client.listen(0.1))
-    assert (here.session.quality.best_effort_lost, here.session.quality.best_effort_late) == (3, 1)
+    assert (here.session.counts.lost_messages, here.session.quality.best_effort_late) == (3, 1)
 
 
 def test_topic_that_is_too_long_without_acknowledgement_is_named() -> None:
