@@ -726,7 +726,7 @@ class XrceSession(DeviceSession):
         before = reliable.duplicates
         bodies = reliable.receive(message.number, message.body)
         again = reliable.duplicates - before
-        if not client.was_creating(now_s):
+        if again and not client.was_creating(now_s) and reliable.is_judged(message.number):
             self.quality.duplicates += again
         self.quality.reliable += 1 - again
         self._read_bodies(client, reliable, bodies, found)
@@ -1112,7 +1112,7 @@ class XrceSession(DeviceSession):
             client = self._clients.get((session, key))
             reliable = None if client is None else client.inputs.get(stream)
             if client is not None and reliable is not None and client.may_acknowledge(reliable):
-                self.quality.missing += bool(reliable.missing())
+                self.quality.missing += bool(reliable.missing()) and reliable.is_judged(reliable.next)
                 message = client.message(NO_STREAM, client.acknack(reliable, now_s))
                 self.outbox.put_answer((session, key, stream), message, depth=1)
         self._acks.clear()
