@@ -178,7 +178,7 @@ def advice(shown: dict[str, Any]) -> list[str]:
     for link in shown["ended"][:3]:
         codes = ", ".join(each["code"] for each in link["diagnosis"])
         seconds = f"after {link['seconds']:.0f} s, {link['ended_ago_s']:.0f} s ago"
-        lines.append(f"link {link['number']} {link['peer']} ended: {link['end']} {seconds}{codes and f'; {codes}'}")
+        lines.append(f"link {link['number']} {place(link)} ended: {link['end']} {seconds}{codes and f'; {codes}'}")
     return lines
 
 

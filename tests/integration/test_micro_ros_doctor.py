@@ -5,6 +5,7 @@ import socket
 
 import pytest
 
+from hostlink.core.link.serving import LinkEnd
 from hostlink.core.protocol import link_evidence
 from tests.integration.test_metrics import metrics
 from tests.integration.test_micro_ros import CONFIG, address_of, robot_of
@@ -62,3 +63,12 @@ async def test_lost_messages_of_a_board_are_in_the_views() -> None:
         assert link["lost_messages"] == 23
         found = await metrics(host)
         assert found[f"hostlink_link_lost_messages_total[('peer', '127.0.0.1'), ('robot', '{name}')]"] == 23
+
+
+async def test_protocol_of_a_link_that_has_ended_is_in_the_view() -> None:
+    async with daemon(CONFIG) as host:
+        async with udp_board(address_of(host, "udp"), stock()):
+            await robot_of(host)
+        host.hub.links.all()[0].end(LinkEnd.IDLE)
+        await expect(lambda: len(host.hub.diagnoses.ended) == 1)
+        assert [each["protocol"] for each in (await host.get("/api/links"))["ended"]] == ["micro-ROS"]

@@ -81,6 +81,7 @@ class EndedLinkView(TypedDict):
     """One of the last connections that ended: the reason, the duration, and its problems."""
 
     number: int
+    protocol: str
     peer: str
     robot: str | None
     end: str

@@ -115,3 +115,5 @@ def test_advice_is_about_links_ports_and_those_that_ended() -> None:
         "  next: do",
         "link 3 p ended: idle after 11 s, 4 s ago; damaged",
     ]
+    now.links["ended"][0]["protocol"] = "micro-ROS"
+    assert advice(figures(sample(0.0), now))[-1] == "link 3 p micro-ROS ended: idle after 11 s, 4 s ago; damaged"

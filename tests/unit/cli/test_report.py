@@ -57,6 +57,9 @@ def test_protocol_is_said_where_it_is_not_the_usual_one() -> None:
         "link 1  10.0.0.2:1  a",
         "link 2  10.0.0.3:1 micro-ROS  b",
     ]
+    gone = ended(3, "10.0.0.4:1", "c") | {"protocol": "micro-ROS"}
+    (line,) = report_lines(report_of({"links": [], "ended": [gone], "ports": []}, "here"))
+    assert line == "link 3  10.0.0.4:1 micro-ROS  c  (ended: idle, 0 topics)  nothing was wrong"
 
 
 def test_healthy_link_is_reported() -> None:
