@@ -49,6 +49,7 @@ def rates(counts: dict[str, Any], seconds: float) -> Report:
         "frames_from_device_s": round(counts["frames_from_device"] / max(seconds, 1e-3), 1),
         "frames_to_device_s": round(counts["frames_to_device"] / max(seconds, 1e-3), 1),
         "lost_percent": round(100 * counts["skipped_bytes"] / came, 1) if came else 0.0,
+        "lost_messages": counts.get("lost_messages", 0),  # an older daemon does not count them
     }
 
 
@@ -121,7 +122,9 @@ def _link_lines(link: Report) -> Iterator[str]:
 
 
 def _rates_line(link: Report) -> str:
-    lost = f"{link['lost_percent']} % of its bytes lost" if link["lost_percent"] else "nothing lost"
+    losses = [f"{link['lost_percent']} % of its bytes"] if link["lost_percent"] else []
+    losses += [quantity(link["lost_messages"], "message")] if link["lost_messages"] else []
+    lost = f"{' and '.join(losses) or 'nothing'} lost"
     silent = "" if link["silent_s"] is None else f", last heard {duration(link['silent_s'])} ago"
     to_device = "" if link["frames_to_device_s"] is None else f", {link['frames_to_device_s']} to it"
     return f"{link['frames_from_device_s']} frames/s from it{to_device}, {lost}{silent}"

@@ -52,14 +52,16 @@ def place(link: Mapping[str, Any]) -> str:
 
 def _rates(before: dict[str, Any], now: dict[str, Any], seconds: float) -> dict[str, float]:
     def difference(key: str) -> float:
-        return float(now[key] - before.get(key, 0))
+        return float(now.get(key, 0) - before.get(key, 0))  # an older daemon does not tell all of them
 
-    came = difference("bytes_from_device")
+    came, lost = difference("bytes_from_device"), difference("lost_messages")
+    sent = difference("frames_from_device") + lost
     return {
         "frames_from_device_s": round(difference("frames_from_device") / seconds, 1),
         "frames_to_device_s": round(difference("frames_to_device") / seconds, 1),
         "bytes_from_device_s": round(came / seconds),
         "skipped_percent": round(100 * difference("skipped_bytes") / came, 1) if came else 0.0,
+        "lost_messages_percent": round(100 * lost / sent, 1) if sent else 0.0,
     }
 
 
@@ -74,7 +76,7 @@ def link_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
             f"{link['frames_from_device_s']:.1f}",
             f"{link['frames_to_device_s']:.1f}",
             str(link["bytes_from_device_s"]),
-            f"{link['skipped_percent']:.1f}",
+            f"{max(link['skipped_percent'], link['lost_messages_percent']):.1f}",  # of bytes, or of messages
             f"{link['silent_s']:.1f}",
             ", ".join(each["code"] for each in link["diagnosis"]) or "healthy",
         )
@@ -176,7 +178,7 @@ def advice(shown: dict[str, Any]) -> list[str]:
     for link in shown["ended"][:3]:
         codes = ", ".join(each["code"] for each in link["diagnosis"])
         seconds = f"after {link['seconds']:.0f} s, {link['ended_ago_s']:.0f} s ago"
-        lines.append(f"link {link['number']} {link['peer']} ended: {link['end']} {seconds}{codes and f'; {codes}'}")
+        lines.append(f"link {link['number']} {place(link)} ended: {link['end']} {seconds}{codes and f'; {codes}'}")
     return lines
 
 

@@ -14,7 +14,7 @@ import typer
 
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.connecting import ask, connected, run_until_interrupted
-from hostlink.cli.figures import LINK_COLUMNS, Snapshot, advice, figures, link_rows
+from hostlink.cli.figures import LINK_COLUMNS, Snapshot, advice, figures, link_rows, place
 from hostlink.cli.output import duration, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, size
@@ -59,7 +59,7 @@ def _ended_rows(view: dict[str, Any]) -> list[list[str]]:
     return [
         [
             str(link["number"]),
-            link["peer"],
+            place(link),
             link["end"],
             f"{link['seconds']:.1f}",
             f"{link['ended_ago_s']:.0f}",

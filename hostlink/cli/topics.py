@@ -229,13 +229,14 @@ def info(
 def is_recording(name: str) -> bool:
     """Whether `name` is a file or a folder of recordings, rather than a name of the graph.
 
-    A topic may have the name of a folder, such as /run. Such a folder needs recordings in it.
+    What exists here is a path: the slash of a topic, /odom, tells it from a folder odom. A topic may also have the name
+    of a folder in the root, such as /run. Such a folder needs recordings in it.
     """
     try:
         path = Path(name)
         if name.endswith(_RECORDING) or path.is_file():
             return True
-        is_path = name.startswith((".", "~")) or len(path.parts) > PARTS_OF_TOPIC or name.endswith("/")
+        is_path = not path.is_absolute() or len(path.parts) > PARTS_OF_TOPIC or name.endswith("/")
         return path.is_dir() and (is_path or any(each.name.endswith(_IN_FOLDER) for each in path.iterdir()))
     except (OSError, ValueError):  # the name is too long for a file, or has a zero byte; or the folder is private
         return False

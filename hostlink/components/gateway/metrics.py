@@ -47,6 +47,7 @@ _LINK_COUNTERS = {
     "excess_topics": "Topics over the bound of one device",
     "negotiations": "Topic announcements of the device",
     "topic_requests": "Requests for the device's topics",
+    "lost_messages": "Messages lost on their way, by the gaps in their numbers",
 }
 
 _LINK_CLOCK = {

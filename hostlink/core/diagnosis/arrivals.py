@@ -5,11 +5,15 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from hostlink.core.diagnosis.finding import Finding, finding
+from hostlink.core.protocol.link_evidence import explain_unknown
 
 RECENT_S = 60.0
 MAX_ARRIVALS = 16  # kept and shown; the oldest are dropped
 
 NOT_ROSSERIAL, NOT_MICRO_ROS = "not_rosserial", "not_micro_ros"
+OTHER_SESSION = "other_session"
+_OF_NO_REFUSED_DEVICE = {NOT_ROSSERIAL, NOT_MICRO_ROS, OTHER_SESSION}  # of programs, or a finding of their own
+_MAX_NAMES = 3  # addresses in one text
 REFUSALS = {  # causes of docs/service.md, for people
     "not_allowed": "refused: its address is not in the allowed networks (tcp.allow, udp.allow)",
     "too_many_of_address": "refused: this address has too many connections",
@@ -23,7 +27,8 @@ REFUSALS = {  # causes of docs/service.md, for people
     "no_descriptor": "refused: no file descriptor is free",
     "unreachable": "refused: the network reports an error",
     NOT_ROSSERIAL: "sent UDP datagrams that are not rosserial",
-    NOT_MICRO_ROS: "sent UDP datagrams that begin no session of micro-ROS (a board in an older session: reset it)",
+    NOT_MICRO_ROS: "sent UDP datagrams that are not micro-ROS",
+    OTHER_SESSION: "sent messages of a session with another host, such as the micro-ROS agent: reset the board",
 }
 
 
@@ -38,27 +43,40 @@ class Arrival:
     ago_s: float
     count: int = 1
     findings: tuple[Finding, ...] = ()
+    seconds: float = 0.0  # from the first to the last
 
 
 class RefusedLately:
     """Refused peers of the last minute: by way, address and cause, at most MAX_ARRIVALS."""
 
     def __init__(self) -> None:
-        self._times_s: dict[tuple[str, str, str], tuple[int, float]] = {}  # count and time of the last; oldest first
+        # Count, and times of the first and of the last; oldest first.
+        self._times_s: dict[tuple[str, str, str], tuple[int, float, float]] = {}
 
     def note(self, way: str, peer: str, cause: str, now_s: float) -> None:
         """Note a refusal. `peer` is an address without a port."""
         key = (way, peer, cause)
-        count, at_s = self._times_s.pop(key, (0, now_s))
-        self._times_s[key] = (count + 1 if now_s - at_s < RECENT_S else 1, now_s)
+        count, first_s, last_s = self._times_s.pop(key, (0, now_s, now_s))
+        is_recent = now_s - last_s < RECENT_S
+        self._times_s[key] = (count + 1, first_s, now_s) if is_recent else (1, now_s, now_s)
         if len(self._times_s) > MAX_ARRIVALS:
             del self._times_s[next(iter(self._times_s))]
+
+    def note_session(self, way: str, peer: str, now_s: float) -> None:
+        """Note a message of a device that is in a session with another host."""
+        self.note(way, peer, OTHER_SESSION, now_s)
+
+    def forget_session(self, way: str, peer: str) -> None:
+        """Forget that a device of this address was in another session: it begins one here."""
+        self._times_s.pop((way, peer, OTHER_SESSION), None)
 
     def recent(self, now_s: float) -> list[Arrival]:
         """Return the refusals of the last minute."""
         return [
-            Arrival(way, peer, cause, REFUSALS.get(cause, f"refused: {cause}"), now_s - at_s, count)
-            for (way, peer, cause), (count, at_s) in self._times_s.items()
+            Arrival(
+                way, peer, cause, REFUSALS.get(cause, f"refused: {cause}"), now_s - at_s, count, seconds=at_s - first_s
+            )
+            for (way, peer, cause), (count, first_s, at_s) in self._times_s.items()
             if now_s - at_s < RECENT_S
         ]
 
@@ -99,16 +117,25 @@ def daemon_findings(
     `ports`: of serial ports that cannot be opened. `refused`: of the last minute. `own`: of the daemon's own parts.
     `is_connected`: whether a device is connected or was in the last minute. `listening`: where the daemon listens.
     """
-    devices = list(ports)
+    devices = [*ports, *_other_sessions(refused)]
     if not devices and not is_connected:
         devices = [_no_device(refused, listening)]
     return [*devices, *own]
 
 
+def _other_sessions(refused: Sequence[Arrival]) -> list[Finding]:
+    """Return the finding of devices in a session that was not begun here, as the rule of a link has it."""
+    sessions = [each for each in refused if each.cause == OTHER_SESSION]
+    details = [f"{each.peer}: {text}" for each in sessions if (text := explain_unknown(each.count, each.seconds))]
+    more = len(details) - _MAX_NAMES
+    text = "; ".join([*details[:_MAX_NAMES], *([f"and {more} more"] if more > 0 else [])])
+    return [finding("session_unknown", text)] if text else []
+
+
 def _no_device(refused: Sequence[Arrival], listening: str) -> Finding:
     counts: Counter[str] = Counter()
     for each in refused:
-        if each.cause not in {NOT_ROSSERIAL, NOT_MICRO_ROS}:  # of programs, not of devices that are refused
+        if each.cause not in _OF_NO_REFUSED_DEVICE:
             counts[each.cause] += each.count
     if not counts:
         return finding("no_device", listening)

@@ -26,7 +26,9 @@ MAX_SAMPLES = int(RECENT_S / SAMPLE_INTERVAL_S) + 1
 _COUNTS = len(Tally._fields)
 TOGETHER_S = 1.0  # time requests that arrive closer together have waited on their way
 STAMPS_SAMPLES = 10  # DeviceClock accepts a step after 5 s, and a device sets its clock every 2.5 s
+SILENT_S = 3.0  # shorter than QUIET_S of a negotiation; the samples are a second apart
 REVIVALS_S = 60.0  # a board that restarts four times a minute has a fault
+_MISSED = frozenset({"no_time_requests", "no_answer"})  # reasons of topic requests to a device that may have restarted
 _KEPT = 16  # intervals and revivals: more add nothing
 _ERROR = 3  # in LOG_LEVELS
 _COMPLAINT = re.compile(  # log lines of firmware/due and hostlink sim; a group is the code of a finding
@@ -128,7 +130,8 @@ class LinkMonitor:
         match event:
             case events.TopicsRequested(reason):
                 self._is_provoked = True
-                self._fell_silent |= reason == "no_time_requests" and not self._was_host_away
+                is_missed = reason in _MISSED and not self._was_host_away
+                self._fell_silent |= is_missed and self._is_silent(now_s)
             case events.TimeRequested():
                 self._note_time_request(now_s, has_waited=has_waited)
             case events.TopicsNegotiated():
@@ -262,6 +265,11 @@ class LinkMonitor:
             del self._revived_at_s[:-_KEPT]
         self._fell_silent = False
         self._time_requested_at_s = now_s
+
+    def _is_silent(self, now_s: float) -> bool:
+        """Whether no byte arrived lately. A device may publish all the time, and request the time rarely or never."""
+        before, _ = self._samples.since(now_s - SILENT_S)
+        return before.bytes_from_device == self._session.counts.bytes_from_device
 
     def _stamps(self) -> float | None:
         """Smallest recent offset of the device's stamps. Messages that waited have older stamps for a while."""

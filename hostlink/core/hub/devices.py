@@ -57,6 +57,7 @@ class Devices:
             "ended": [
                 {
                     "number": diagnosis.link.number,
+                    "protocol": diagnosis.link.session.protocol,
                     "peer": diagnosis.link.peer,
                     "robot": diagnosis.robot or None,
                     "end": "" if diagnosis.end is None else diagnosis.end.value,

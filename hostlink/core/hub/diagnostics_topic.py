@@ -107,6 +107,7 @@ def _link_figures(diagnosis: Diagnosis) -> dict[str, str]:
         "frames from device": str(counts.frames_from_device),
         "frames to device": str(counts.frames_to_device),
         "bytes skipped": str(counts.skipped_bytes),
+        "messages lost": str(counts.lost_messages),
         "negotiations": str(counts.negotiations),
         "commands replaced": str(facts.replaced),
         "longest wait (ms)": f"{facts.slowest_wait_s * 1e3:.1f}",

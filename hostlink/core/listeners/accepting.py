@@ -267,7 +267,11 @@ class UdpAcceptor(_Acceptor):
         if self._is_answered(port, datagram):
             return False
         self._hub.counts.datagrams_dropped[self._foreign] += 1
-        self._hub.diagnoses.refused.note("udp", datagram.source[0], self._foreign, loop_time_s())
+        refused, address, now_s = self._hub.diagnoses.refused, datagram.source[0], loop_time_s()
+        if self._protocol.is_of_other_host(datagram.data):
+            refused.note_session("udp", address, now_s)
+        else:
+            refused.note("udp", address, self._foreign, now_s)
         return False
 
     async def invite(self, ports: Sequence[UdpPort]) -> None:
@@ -335,6 +339,7 @@ class UdpAcceptor(_Acceptor):
             on_limited=lambda: self._count("unverified", peer, address),
             keeps_datagrams=self._protocol.keeps_datagrams,
         )
+        self._hub.diagnoses.refused.forget_session("udp", address)
         session = _Session(self._hub.links.open(transport, self._protocol), transport)
         self._sessions[datagram.source[:2]] = session
         self._hub.spawn(self._serve(session, datagram.source[:2]), name=f"link to {peer}")

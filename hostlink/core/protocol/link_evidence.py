@@ -10,6 +10,8 @@ from hostlink.core.protocol.line_speed import LineSpeed
 
 UNEXPLAINED_BYTES = 32  # fewer bytes are the end of a cut message
 JUDGED_S = 3.0  # a boot message and a first negotiation are over by then
+UNKNOWN_MESSAGES = 3  # one or two may be late ones of a session that has ended
+UNKNOWN_S = 5.0  # a device that begins anew by itself has done so by then
 EXCERPT_CHARS = 40
 UNREADABLE_SHARE = 0.5  # a line that only loses bytes still has most of them in messages
 WENT_SILENT_S = 6.0  # rosserial: two missing time requests (2.5 s), and a second for the radio
@@ -111,6 +113,11 @@ def _explain_burst(evidence: LinkEvidence, guess_speed: GuessSpeed) -> Mapping[s
     speed = guess_speed(early, evidence.baud)
     is_boot = speed is not None and speed.is_of_boot
     return {"boot_noise": f"{len(early)} bytes{f', {speed}' if is_boot else ''}"}
+
+
+def explain_unknown(messages: int, seconds: float) -> str:
+    """Return the detail about a device in a session that was not begun here; empty if it may be about to begin one."""
+    return f"{messages} messages" if messages >= UNKNOWN_MESSAGES and seconds >= UNKNOWN_S else ""
 
 
 def is_text(sample: bytes) -> bool:

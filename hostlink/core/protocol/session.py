@@ -31,6 +31,7 @@ class SessionCounts:
     excess_topics: int = 0  # topics above max_topics
     negotiations: int = 0
     topic_requests: int = 0
+    lost_messages: int = 0  # of the device, lost on their way: where its messages have numbers
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -352,6 +353,10 @@ class DeviceProtocol(ABC):
     def is_in(self, data: bytes) -> bool:
         """Whether bytes of a serial port contain a whole message of this protocol."""
         return self.is_greeting(data)
+
+    def is_of_other_host(self, data: bytes) -> bool:  # noqa: ARG002 - for protocols whose devices begin a session
+        """Whether a datagram is of a session that was not begun here: that of another host, or of an earlier daemon."""
+        return False
 
     def answer_ping(self, data: bytes) -> bytes:  # noqa: ARG002 - for protocols with a question that needs no session
         """Return the answer to a datagram that asks only whether a host is there; empty: it asks something else."""

@@ -43,7 +43,8 @@ class LinkView(TypedDict):
     """One live connection: topics, counters, and problems, the most likely cause first.
 
     protocol: rosserial, micro-ROS, or the name of an installed one. robot: name of its robot; null without one.
-    parameters: answers to the device, used until it reconnects.
+    parameters: answers to the device, used until it reconnects. lost_messages: of the device, by the gaps in their
+    numbers; rosserial has none, and those that are sent again are not counted.
     """
 
     number: int
@@ -67,6 +68,7 @@ class LinkView(TypedDict):
     excess_topics: int
     negotiations: int
     topic_requests: int
+    lost_messages: int
     replaced: int
     rejected: dict[str, int]
     slowest_wait_s: float
@@ -79,6 +81,7 @@ class EndedLinkView(TypedDict):
     """One of the last connections that ended: the reason, the duration, and its problems."""
 
     number: int
+    protocol: str
     peer: str
     robot: str | None
     end: str

@@ -84,15 +84,20 @@ def test_file_of_any_name_is_a_recording(tmp_path: Path) -> None:
     assert is_recording("no/such/file.mcap")
 
 
-def test_folder_is_a_recording_if_it_has_one_or_is_written_as_a_path(
+def test_folder_is_a_recording_if_it_is_here_has_one_or_is_written_as_a_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "robot_0").mkdir()
     assert not is_recording("robot_0")
+    (tmp_path / "robot_0" / "sub").mkdir(parents=True)
+    assert is_recording("robot_0")
+    assert is_recording("robot_0/sub")
+    assert not is_recording("/robot_0")
     assert not is_recording("/run")
     assert is_recording("./robot_0")
     assert is_recording("robot_0/")
     assert is_recording(str(tmp_path / "robot_0"))
+    monkeypatch.setattr("hostlink.cli.topics.PARTS_OF_TOPIC", len((tmp_path / "robot_0").parts))
+    assert not is_recording(str(tmp_path / "robot_0"))  # as /run
     (tmp_path / "robot_0" / "run.mcap").touch()
-    assert is_recording("robot_0")
+    assert is_recording(str(tmp_path / "robot_0"))

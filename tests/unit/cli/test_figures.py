@@ -58,6 +58,17 @@ def test_rates_are_of_the_time_between_two_samples() -> None:
     assert len(LINK_COLUMNS) == len(link_rows(shown)[0])
 
 
+@pytest.mark.parametrize(("skipped_bytes", "shown_percent"), [(0, "20.0"), (300, "20.0"), (800, "40.0")])
+def test_share_of_lost_messages_is_shown_if_it_is_larger_than_that_of_bytes(
+    skipped_bytes: int, shown_percent: str
+) -> None:
+    before = link(frames_from_device=1000, lost_messages=5)
+    now = link(frames_from_device=1160, lost_messages=45, bytes_from_device=2000, skipped_bytes=skipped_bytes)
+    shown = figures(sample(10.0, before), sample(12.0, now))
+    assert shown["links"][0]["lost_messages_percent"] == 20.0
+    assert link_rows(shown)[0][LINK_COLUMNS.index("lost %")] == shown_percent
+
+
 def test_a_link_that_was_not_there_before_counts_from_its_beginning() -> None:
     shown = figures(sample(10.0), sample(12.0, link(frames_from_device=60)))
     assert shown["links"][0]["frames_from_device_s"] == 15.0
@@ -104,3 +115,5 @@ def test_advice_is_about_links_ports_and_those_that_ended() -> None:
         "  next: do",
         "link 3 p ended: idle after 11 s, 4 s ago; damaged",
     ]
+    now.links["ended"][0]["protocol"] = "micro-ROS"
+    assert advice(figures(sample(0.0), now))[-1] == "link 3 p micro-ROS ended: idle after 11 s, 4 s ago; damaged"

@@ -57,6 +57,9 @@ def test_protocol_is_said_where_it_is_not_the_usual_one() -> None:
         "link 1  10.0.0.2:1  a",
         "link 2  10.0.0.3:1 micro-ROS  b",
     ]
+    gone = ended(3, "10.0.0.4:1", "c") | {"protocol": "micro-ROS"}
+    (line,) = report_lines(report_of({"links": [], "ended": [gone], "ports": []}, "here"))
+    assert line == "link 3  10.0.0.4:1 micro-ROS  c  (ended: idle, 0 topics)  nothing was wrong"
 
 
 def test_healthy_link_is_reported() -> None:
@@ -80,3 +83,13 @@ def test_findings_precede_healthy_links() -> None:
         "    next: remove it",
         "  30.0 frames/s from it, 10.0 to it, 5.0 % of its bytes lost, last heard 50.0 ms ago",
     ]
+
+
+def test_lost_messages_are_counted_as_in_the_finding() -> None:
+    found = {**FOUND, "code": "best_effort_lost", "detail": "23 of 200 messages (11.5%) in 30 s"}
+    board = live(1, "10.0.0.3:1", "b", protocol="micro-ROS", diagnosis=[found], lost_messages=23)
+    lines = report_lines(report_of({"links": [board], "ended": [], "ports": []}, "here"))
+    assert "  30.0 frames/s from it, 10.0 to it, 23 messages lost, last heard 50.0 ms ago" in lines
+    both = live(1, "10.0.0.3:1", "b", protocol="micro-ROS", skipped_bytes=500, lost_messages=1)
+    lines = report_lines(report_of({"links": [both], "ended": [], "ports": []}, "here"))
+    assert "  30.0 frames/s from it, 10.0 to it, 5.0 % of its bytes and 1 message lost, last heard 50.0 ms ago" in lines

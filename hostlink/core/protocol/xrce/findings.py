@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from hostlink.core.protocol import line_speed
 from hostlink.core.protocol.line_speed import LineSpeed
-from hostlink.core.protocol.link_evidence import LinkEvidence, explain_skipped, explain_unreadable
+from hostlink.core.protocol.link_evidence import LinkEvidence, explain_skipped, explain_unknown, explain_unreadable
 from hostlink.core.protocol.xrce.framing import device_frame
 from hostlink.core.protocol.xrce.wire import (
     KEYLESS,
@@ -30,7 +30,6 @@ WAIT_SHARE: Final = 0.5  # of the time of the board's loop
 MIN_ROUND_TRIPS: Final = 5
 SLOW_TURN_S: Final = 0.05  # commands of 20 Hz come as fast: a board reads one message a turn
 MIN_RESTARTS: Final = 3  # in RECENT_S
-MIN_UNKNOWN: Final = 3  # messages
 WRONG_SIZES: Final = 3
 JUDGED_S: Final = 5.0  # a board asks five times until then
 MIN_GREETINGS: Final = 3
@@ -149,8 +148,7 @@ def _created_again(_: Facts, own: OwnCounts, __: LinkEvidence) -> str:
 
 
 def _session_unknown(facts: Facts, own: OwnCounts, evidence: LinkEvidence) -> str:
-    is_so = not facts.clients and own.unknown >= MIN_UNKNOWN and evidence.age_s >= JUDGED_S
-    return f"{own.unknown} messages" if is_so else ""
+    return "" if facts.clients else explain_unknown(own.unknown, evidence.age_s)
 
 
 def _no_reconnect(facts: Facts, own: OwnCounts, evidence: LinkEvidence) -> str:

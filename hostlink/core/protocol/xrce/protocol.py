@@ -9,7 +9,7 @@ from hostlink.core.protocol.xrce.framing import FRAMINGS, DatagramFraming, Frami
 from hostlink.core.protocol.xrce.payloads import Payloads
 from hostlink.core.protocol.xrce.resume import read_state
 from hostlink.core.protocol.xrce.session import NAME, XrceSession
-from hostlink.core.protocol.xrce.wire import NO_STREAM, answer_ping, decode_message, is_create_client
+from hostlink.core.protocol.xrce.wire import NO_STREAM, answer_ping, decode_message, is_create_client, is_in_session
 
 
 class Xrce(DeviceProtocol):
@@ -68,6 +68,11 @@ class Xrce(DeviceProtocol):
     def is_in(self, data: bytes) -> bool:
         """Whether the bytes contain a message of any client, or a ping."""
         return any(decode_message(each) is not None for each in self._framing().feed(data))
+
+    def is_of_other_host(self, data: bytes) -> bool:
+        """Whether the bytes are messages of a client that was not created here."""
+        messages = self._framing().feed(data)
+        return bool(messages) and all(map(is_in_session, messages))
 
     def answer_ping(self, data: bytes) -> bytes:
         """Return the answer to pings that need no link; empty if there are none."""

@@ -103,15 +103,14 @@ class Quality:
     """Counts of one connection for a diagnosis, since the link opened."""
 
     __slots__ = (
-        "best_effort", "best_effort_late", "best_effort_lost", "creations", "deleted", "duplicates", "missing", "pings",
-        "reliable", "resent", "restarts", "resumed", "unknown", "unread", "waits",
+        "best_effort", "best_effort_late", "creations", "deleted", "duplicates", "missing", "pings", "reliable",
+        "resent", "restarts", "resumed", "unknown", "unread", "waits",
     )  # fmt: skip
 
     def __init__(self) -> None:
         self.pings = 0  # of a client, or before there is one
         self.creations = 0  # CREATE_CLIENT
-        self.best_effort = 0  # messages
-        self.best_effort_lost = 0  # gaps in the numbers: exact
+        self.best_effort = 0  # messages; those that were lost are in the SessionCounts
         self.best_effort_late = 0
         self.reliable = 0  # messages, each counted once
         self.duplicates = 0  # messages that the device sent twice, unless it was asked for them while it began
@@ -323,7 +322,7 @@ class XrceSession(DeviceSession):
         return OwnCounts(
             greetings=q.pings + q.creations,
             best_effort=q.best_effort,
-            best_effort_lost=q.best_effort_lost,
+            best_effort_lost=self.counts.lost_messages,
             reliable=q.reliable,
             duplicates=q.duplicates,
             missing=q.missing,
@@ -715,7 +714,7 @@ class XrceSession(DeviceSession):
                 self.quality.best_effort_late += 1
                 return
             self.quality.best_effort += 1
-            self.quality.best_effort_lost += lost
+            self.counts.lost_messages += lost  # gaps in the numbers: exact
             for each in self._submessages(message.body):
                 self._handle(client, stream, each, found)
             return
@@ -727,7 +726,7 @@ class XrceSession(DeviceSession):
         before = reliable.duplicates
         bodies = reliable.receive(message.number, message.body)
         again = reliable.duplicates - before
-        if not client.was_creating(now_s):
+        if again and not client.was_creating(now_s) and reliable.is_judged(message.number):
             self.quality.duplicates += again
         self.quality.reliable += 1 - again
         self._read_bodies(client, reliable, bodies, found)
@@ -1113,7 +1112,7 @@ class XrceSession(DeviceSession):
             client = self._clients.get((session, key))
             reliable = None if client is None else client.inputs.get(stream)
             if client is not None and reliable is not None and client.may_acknowledge(reliable):
-                self.quality.missing += bool(reliable.missing())
+                self.quality.missing += bool(reliable.missing()) and reliable.is_judged(reliable.next)
                 message = client.message(NO_STREAM, client.acknack(reliable, now_s))
                 self.outbox.put_answer((session, key, stream), message, depth=1)
         self._acks.clear()

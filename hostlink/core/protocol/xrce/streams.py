@@ -97,6 +97,7 @@ class ReliableInput:
         "_far_at",
         "_held",
         "_held_bytes",
+        "_resumed_at",
         "duplicates",
         "fragments",
         "is_known",
@@ -120,6 +121,7 @@ class ReliableInput:
         self._asked_for = -1  # the number that the client is asked for
         self._asked_since_s = 0.0
         self._asked = 0  # ACKNACKs since then
+        self._resumed_at = -1  # the first number after a restart of the host
         if is_resumed:
             self.fragments.skip_message()
 
@@ -132,7 +134,7 @@ class ReliableInput:
             self.next = number_after(number)
             return [body, *self._in_order()] if self._held else [body]
         if not self.is_known:
-            self.next, self._announced, self.is_known = number, number, True
+            self.next, self._announced, self._resumed_at, self.is_known = number, number, number, True
         ahead = distance(self.next, number)
         if not -WINDOW <= ahead < WINDOW and not self._is_moved(number, number):
             return []
@@ -154,7 +156,7 @@ class ReliableInput:
     def heartbeat(self, first: int, last: int) -> list[bytes]:
         """Note which messages the client keeps. Return the bodies that can be read now: what it lost is given up."""
         if not self.is_known:
-            self.next, self._announced, self.is_known = first, last, True
+            self.next, self._announced, self._resumed_at, self.is_known = first, last, first, True
         ahead = distance(self.next, first)
         # It keeps at most what was not acknowledged: a first number behind `next` is of a lost acknowledgement.
         is_odd = ahead > 0 or distance(self.next, last) < -1 - WINDOW
@@ -209,6 +211,13 @@ class ReliableInput:
             if number_after(self.next, ahead) not in self._held:
                 bitmap |= 1 << ahead
         return bitmap
+
+    def is_judged(self, number: int) -> bool:
+        """Whether a loss or a repetition of a number tells about the way to the client.
+
+        What it sent while there was no host, and some messages more, does not: they were not acknowledged.
+        """
+        return self._resumed_at < 0 or not -WINDOW <= distance(self._resumed_at, number) < WINDOW
 
     @property
     def fits(self) -> bool:

@@ -58,6 +58,11 @@ class Kind(IntEnum):
     TIMESTAMP_REPLY = 15
 
 
+_OF_CLIENTS: Final = frozenset(
+    {Kind.CREATE, Kind.DELETE, Kind.WRITE_DATA, Kind.READ_DATA, Kind.ACKNACK, Kind.HEARTBEAT, Kind.FRAGMENT}
+)
+
+
 class ObjectKind(IntEnum):
     """Kind of an object: the low four bits of its id."""
 
@@ -472,6 +477,15 @@ def is_create_client(data: bytes) -> bool:
         return False
     return any(each.kind == Kind.CREATE_CLIENT and decode_client(each) is not None
                for each in decode_submessages(message.body)[0])  # fmt: skip
+
+
+def is_in_session(data: bytes) -> bool:
+    """Whether a message is one that only a client sends that was created: whole submessages, and no ping."""
+    message = decode_message(data)
+    if message is None:
+        return False
+    found, rest_bytes = decode_submessages(message.body)
+    return bool(found) and not rest_bytes and all(each.kind in _OF_CLIENTS for each in found)
 
 
 def answer_ping(data: bytes) -> bytes | None:

@@ -54,7 +54,7 @@ def test_refusals_of_many_addresses_are_bounded_and_the_newest_remain() -> None:
 def test_every_cause_of_the_documents_has_a_text() -> None:
     rows = [line.split("|")[1] for line in SERVICE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
     documented = {cause.strip(" `") for row in rows for cause in row.split(",")}
-    assert set(REFUSALS) - {"not_rosserial", "not_micro_ros"} <= documented
+    assert set(REFUSALS) - {"not_rosserial", "not_micro_ros", "other_session"} <= documented
     assert {"not_allowed", "wrong_key", "unverified"} <= documented
 
 
@@ -105,3 +105,34 @@ def test_finding_of_the_daemons_own_part_is_reported_with_and_without_a_device()
     assert daemon_findings([], [], [taken], is_connected=True, listening=LISTENING) == [taken]
     found = daemon_findings([], [], [taken], is_connected=False, listening=LISTENING)
     assert [each.code for each in found] == ["no_device", "recordings_taken"]
+
+
+def in_other_session(peer: str = "10.0.0.5", count: int = 3, seconds: float = 5.0) -> Arrival:
+    return Arrival("udp", peer, "other_session", REFUSALS["other_session"], 1.0, count, seconds=seconds)
+
+
+@pytest.mark.parametrize("is_connected", [False, True])
+def test_board_in_the_session_of_another_host_is_named_by_its_address(is_connected: bool) -> None:
+    boards = [in_other_session(f"10.0.0.{number}", 150) for number in range(5)]
+    found = daemon_findings([], boards[:1], is_connected=is_connected, listening=LISTENING)
+    assert [(each.code, each.detail) for each in found] == [("session_unknown", "10.0.0.0: 150 messages")]
+    (found_all,) = daemon_findings([], boards, is_connected=is_connected, listening=LISTENING)
+    assert found_all.detail == ("10.0.0.0: 150 messages; 10.0.0.1: 150 messages; 10.0.0.2: 150 messages; and 2 more")
+
+
+@pytest.mark.parametrize("arrival", [in_other_session(count=2), in_other_session(seconds=4.9)])
+def test_late_messages_of_a_board_that_begins_anew_are_not_a_finding(arrival: Arrival) -> None:
+    assert daemon_findings([], [arrival], is_connected=True, listening=LISTENING) == []
+    (found,) = daemon_findings([], [arrival], is_connected=False, listening=LISTENING)
+    assert (found.code, found.detail) == ("no_device", LISTENING)
+
+
+def test_board_that_begins_a_session_is_no_longer_in_another() -> None:
+    lately = RefusedLately()
+    for at_s in (0.0, 3.0, 6.0):
+        lately.note_session("udp", "10.0.0.5", at_s)
+    lately.note_session("udp", "10.0.0.6", 6.0)
+    assert [(each.count, each.seconds) for each in lately.recent(6.0)] == [(3, 6.0), (1, 0.0)]
+    lately.forget_session("udp", "10.0.0.5")
+    lately.forget_session("udp", "10.0.0.7")
+    assert [each.peer for each in lately.recent(6.0)] == ["10.0.0.6"]

@@ -1,6 +1,8 @@
 """LinkMonitor: time request intervals, revivals, recent counts and oversized messages."""
 
 import errno
+import math
+import random
 import struct
 
 import pytest
@@ -9,9 +11,9 @@ from hostlink.core.diagnosis.evidence import MIN_WALL_NS, Complaint, HostClock, 
 from hostlink.core.diagnosis.link_monitor import LinkMonitor
 from hostlink.core.diagnosis.rules import diagnose
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.core.protocol.events import DeviceLogged, TimeRequested, TopicsNegotiated, TopicsRequested
+from hostlink.core.protocol.events import DeviceLogged, Event, TimeRequested, TopicsNegotiated, TopicsRequested
 from hostlink.core.protocol.rosserial.control import encode_topic_info
-from hostlink.core.protocol.rosserial.frame import Id, encode
+from hostlink.core.protocol.rosserial.frame import TOPICS_REQUEST, Id, encode
 from hostlink.core.protocol.rosserial.session import Session
 from hostlink.errors import FrameTooLarge
 
@@ -316,3 +318,72 @@ def test_device_without_answers_during_a_host_pause_did_not_reboot() -> None:
         monitor.observe(TimeRequested(), start_s + 0.1)
         monitor.observe(TimeRequested(), start_s + 2.6)
     assert monitor.evidence(53.0, silent_s=0.0).revivals == 0
+
+
+ODOMETRY = DeviceEndpoint(EndpointKind.PUBLISHER, 125, "/odom", "nav_msgs/Odometry", "0" * 32, 512)
+TICK_S = 0.05  # odometry of 20 Hz
+
+
+class RhythmBoard:
+    """A rosserial board that publishes without a pause, and requests the time in a rhythm of its own.
+
+    After a restart it is silent until its topics are requested, as ros_lib is.
+    """
+
+    def __init__(self, period_s: float, *, asks_with_topics: bool, first_s: float = 0.0) -> None:
+        self.session = session()
+        self.monitor = LinkMonitor(self.session, now_s=0.0)
+        self._period_s, self._asks_with_topics = period_s, asks_with_topics
+        self._time_due_s = first_s + period_s
+        self._is_configured, self._boots_until_s = False, 0.0
+        self._observe(self.session.open(now_s=0.0), 0.0)
+
+    def run(self, seconds: float, restarts_s: tuple[float, ...] = ()) -> list[str]:
+        """Return every code that was found at any time."""
+        codes: set[str] = set()
+        waiting_s = list(restarts_s)
+        for number in range(1, round(seconds / TICK_S)):
+            now_s = number * TICK_S
+            if waiting_s and now_s >= waiting_s[0]:
+                self._is_configured, self._boots_until_s = False, waiting_s.pop(0) + 1.5
+            self._turn(now_s)
+            if number % 20 == 0:
+                self.monitor.sample(now_s)
+                silent_s = now_s - self.session.negotiation.received_at_s
+                codes |= {each.code for each in diagnose(self.monitor.evidence(now_s, silent_s=silent_s))}
+        return sorted(codes)
+
+    def _turn(self, now_s: float) -> None:
+        data = encode(125, bytes(48)) if self._is_configured else b""
+        self._observe(self.session.tick(now_s=now_s), now_s)
+        while (outgoing := self.session.pop_frame(now_s=now_s, wall_ns=0)) is not None:
+            if outgoing.frame is TOPICS_REQUEST and now_s >= self._boots_until_s:
+                self._is_configured = True
+                data += encode(Id.PUBLISHER, encode_topic_info(ODOMETRY))
+                data += encode(Id.TIME, b"") if self._asks_with_topics else b""
+        if self._is_configured and now_s >= self._time_due_s:
+            self._time_due_s = now_s + self._period_s
+            data += encode(Id.TIME, b"")
+        if data:
+            self._observe(self.session.receive(data, now_s=now_s), now_s)
+
+    def _observe(self, found: list[Event], now_s: float) -> None:
+        for event in found:
+            self.monitor.observe(event, now_s)
+
+
+@pytest.mark.parametrize("number", range(24))
+def test_device_that_publishes_all_the_time_did_not_reboot_in_any_rhythm(number: int) -> None:
+    """The device requests the time every 0.5 to 30 s, only with its announcement, or never."""
+    draw = random.Random(number)
+    period_s = math.inf if number % 6 == 0 else draw.uniform(0.5, 30.0) if number % 2 else draw.uniform(4.0, 8.0)
+    board = RhythmBoard(period_s, asks_with_topics=draw.random() < 0.5, first_s=draw.uniform(0.0, 3.0))
+    assert "reboots" not in board.run(120.0), period_s
+    assert board.monitor.evidence(120.0, silent_s=0.0).revivals == 0
+
+
+@pytest.mark.parametrize("period_s", [1.0, 2.5, 3.5, 4.5, 7.0])
+def test_device_that_restarts_again_and_again_is_found_in_any_rhythm(period_s: float) -> None:
+    board = RhythmBoard(period_s, asks_with_topics=True)
+    found = board.run(90.0, restarts_s=(12.0, 26.0, 39.0, 53.0, 67.0))
+    assert "reboots" in found

@@ -301,11 +301,9 @@ def test_loss_of_best_effort_messages_is_exact(loss: float) -> None:
     client = Client(key=KEY)
     made = Watched(program(client), client)
     found = made.found(20.0)
-    quality = made.world.session.quality
-    assert (
-        0 <= len(sent) - quality.best_effort - quality.best_effort_lost <= 10
-    )  # those on their way, and the last ones
-    lost, total = quality.best_effort_lost, quality.best_effort + quality.best_effort_lost
+    came, lost = made.world.session.quality.best_effort, made.world.session.counts.lost_messages
+    total = came + lost
+    assert 0 <= len(sent) - total <= 10  # those on their way, and the last ones
     assert found == {"best_effort_lost": f"{lost} of {total} messages ({lost / total:.1%}) in 30 s"}
 
 
@@ -395,6 +393,33 @@ def test_board_without_code_to_reconnect_is_found_after_a_restart_of_the_host() 
     after = Watched(iter_of(before), before.world.client, session=session)
     assert after.found(20.0) == {}
     assert after.found(45.0).keys() == {"no_reconnect"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("away_s", [0.2, 1.5])
+@pytest.mark.parametrize(
+    ("protocol", "transport"), [(MICRO_ROS_UDP, Datagrams), (MICRO_ROS_SERIAL, Serial)], ids=["udp", "serial"]
+)
+def test_messages_sent_while_the_host_is_away_are_not_a_loss(
+    protocol: DeviceProtocol, transport: type[Datagrams], away_s: float
+) -> None:
+    session = protocol.session(CATALOG)
+    assert isinstance(session, XrceSession)
+    board = stock(restarts=False)
+    board.gives_up = False
+    made = Watched(board.run(), board.client, session=session, transport=transport())
+    made.world.run(3.0)
+    resumed = protocol.resumed(CATALOG, session.memory())
+    assert isinstance(resumed, XrceSession)
+    made.world.restart_host(resumed, away_s=away_s)
+    made.world.run(8.0)
+    quality = resumed.quality
+    assert quality.resumed == 1
+    assert quality.reliable > 100
+    assert (quality.missing, quality.duplicates, quality.resent) == (0, 0, 0)
+    made.world.link.loss = 0.1
+    made.world.run(12.0)
+    assert quality.missing + quality.duplicates > 5
 
 
 def iter_of(made: Watched) -> Program:

@@ -21,4 +21,5 @@ def test_session_without_a_node_is_captured_by_the_name_of_its_protocol() -> Non
 def test_protocol_without_a_ping_answers_none_and_is_found_by_its_greeting() -> None:
     frame = SYNC + bytes(10)
     assert ROSSERIAL.answer_ping(frame) == b""
+    assert not ROSSERIAL.is_of_other_host(frame)
     assert ROSSERIAL.is_in(frame) is ROSSERIAL.is_greeting(frame)

@@ -1313,7 +1313,7 @@ def test_best_effort_losses_are_counted_exactly() -> None:
         here.client.best_effort = number
         here.client.publish_best_effort(WRITER, cdr("std_msgs/String", {"data": "a"}))
     here.do(here.client.listen(0.1))
-    assert (here.session.quality.best_effort_lost, here.session.quality.best_effort_late) == (3, 1)
+    assert (here.session.counts.lost_messages, here.session.quality.best_effort_late) == (3, 1)
 
 
 def test_topic_that_is_too_long_without_acknowledgement_is_named() -> None:
@@ -1392,7 +1392,25 @@ def test_protocol_knows_its_greeting_and_answers_pings_without_a_session() -> No
         assert len(protocol.answer_ping(framing.encode(ping))) >= 26
         assert protocol.answer_ping(framing.encode(client.creation())) == b""
         assert protocol.name == "micro-ROS"
+        assert not protocol.is_of_other_host(framing.encode(ping) + framing.encode(client.creation()))
     assert [each.keeps_datagrams for each in (MICRO_ROS_UDP, MICRO_ROS_TCP, MICRO_ROS_SERIAL)] == [True, False, False]
+
+
+def test_protocol_knows_messages_of_a_client_that_another_host_created() -> None:
+    client = Client(key=KEY)
+    client.send(1, 7, sub(board.WRITE, bytes(8)), 0x81)
+    written = client.sent.pop()
+    for data, is_known in (
+        (written, True),
+        (written + b"abc", False),
+        (written[:4], False),
+        (client.creation(), False),
+        (b"hello", False),
+        (bytes(600), False),
+        (b"", False),
+        (b"distance 42 cm\r\n", False),
+    ):
+        assert MICRO_ROS_UDP.is_of_other_host(data) is is_known, data
 
 
 # -- going on after a restart of the host -----------------------------------------------------------------------------

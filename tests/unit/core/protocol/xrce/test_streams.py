@@ -242,3 +242,15 @@ def test_any_acknowledgements_raise_nothing_and_keep_the_window(told: list[tuple
             stream.put(b"x", float(now_s))
         stream.acknowledge(ack(first, missing), float(now_s), older_than_s=0.1)
         assert (stream.next - stream.first) % NUMBERS <= HISTORY
+
+
+@pytest.mark.parametrize("first", [0, 5, NUMBERS - 3])
+def test_numbers_right_after_a_restart_of_the_host_tell_nothing_about_the_way(first: int) -> None:
+    begun = ReliableInput(RELIABLE)
+    assert begun.is_judged(0)
+    by_message, by_heartbeat = ReliableInput(RELIABLE, is_resumed=True), ReliableInput(RELIABLE, is_resumed=True)
+    by_message.receive(first, b"")
+    by_heartbeat.heartbeat(first, number_after(first, 3))
+    for stream in (by_message, by_heartbeat):
+        judged = [ahead for ahead in range(-20, 30) if stream.is_judged((first + ahead) % NUMBERS)]
+        assert judged == [*range(-20, -WINDOW), *range(WINDOW, 30)]
