@@ -59,8 +59,9 @@ class Memories:
             self._note(link)
 
     def leave(self, link: Link) -> None:
-        """Note the last memory of a link that has ended."""
+        """Note the last memory of a link that has ended, with its last numbers: those before are older."""
         if self.links.pop(link.number, None) is not None:
+            self._versions[link.number] = -1
             self._note(link)
             self._versions.pop(link.number, None)
             if not self.links:

@@ -60,6 +60,7 @@ class Facts(NamedTuple):
     is_serial: bool  # there is a line, with a baud rate
     clients: int = 0
     resumed: int = 0  # clients that went on after a restart of the host
+    refuted: int = 0  # clients that were not the ones of the stored state
     pings: int = 0
     round_trip_s: float = 0.0
     least_round_trip_s: float = 0.0
@@ -149,8 +150,11 @@ def _created_again(_: Facts, own: OwnCounts, __: LinkEvidence) -> str:
 
 
 def _session_unknown(facts: Facts, own: OwnCounts, evidence: LinkEvidence) -> str:
-    is_so = not facts.clients and own.unknown >= MIN_UNKNOWN and evidence.age_s >= JUDGED_S
-    return f"{own.unknown} messages" if is_so else ""
+    if facts.clients:
+        return ""
+    if facts.refuted:
+        return "its numbers or messages are not those of the board whose session was kept"
+    return f"{own.unknown} messages" if own.unknown >= MIN_UNKNOWN and evidence.age_s >= JUDGED_S else ""
 
 
 def _no_reconnect(facts: Facts, own: OwnCounts, evidence: LinkEvidence) -> str:

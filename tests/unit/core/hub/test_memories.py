@@ -61,3 +61,17 @@ async def test_devices_over_the_limit_of_long_texts_and_of_connections_are_not_r
     memories.note()
     assert not memories.has(MICRO_ROS_UDP, "udp", "10.0.0.1:1000")
     assert not memories.has(MICRO_ROS_UDP, "tcp", "10.0.0.1:1001")
+
+
+@virtual
+async def test_memory_of_a_link_that_ends_has_its_last_numbers() -> None:
+    memories, link = Memories(), link_of(7)
+    memories.join(link)
+    memories.note()
+    version, before = link.session.memory_version, dict(memories.texts)
+    link.session.receive(b"\x81\x80\x00\x00" + board.sub(board.WRITE, b"\0\1\0\5"), now_s=2.1)
+    assert link.session.memory_version == version
+    memories.leave(link)
+    (text,) = memories.texts.values()
+    assert text == link.session.memory()
+    assert before != memories.texts
