@@ -914,6 +914,7 @@ class XrceSession(DeviceSession):
             limit_bytes=self._framing.limit_bytes,
             now_s=self._now_s,
         )
+        client.output.is_new = True
         client.note_creating(self._now_s)
         self._clients[info.session, client.id_key] = client
         return True

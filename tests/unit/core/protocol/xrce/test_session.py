@@ -222,6 +222,22 @@ def test_board_that_restarts_is_announced_anew_and_its_velocities_are_dropped() 
     assert here.session.quality.restarts == 1
 
 
+@pytest.mark.parametrize("first", [1, 2, 11])
+def test_board_that_answers_heartbeats_of_its_session_before_gets_its_first_status_at_once(first: int) -> None:
+    here = connected()
+    heartbeat = b"\x81\0\0\0" + sub(board.HEARTBEAT, struct.pack("<HHB", first, first, 0x80))
+    other = Client(key=b"new!")
+    here.restart_board(other, idle())
+    here._inbox.extend([heartbeat] * 4)  # they wait in its socket
+    began_s = here.now_s
+    here.frames.clear()
+    assert here.do(other.connect())
+    here.do(creations(other))
+    numbers = [int.from_bytes(frame[2:4], "little") for _, frame in here.frames if frame[1] == 0x80]
+    assert numbers == list(range(11))
+    assert here.now_s - began_s < 0.05
+
+
 def test_late_creation_of_the_session_before_changes_nothing() -> None:
     here = connected()
     old = here.client.creation()
