@@ -200,7 +200,9 @@ class Client:
                 if self.on_data is not None:
                     self.on_data(object_id, payload[4:])
             elif kind == HEARTBEAT and self.has_reliable_input and payload[4] == 0x80:
-                last = int.from_bytes(payload[2:4], "little")
+                first, last = int.from_bytes(payload[:2], "little"), int.from_bytes(payload[2:4], "little")
+                if ahead((self.last_handled + 1) & 0xFFFF, first) > 0:  # what the host does not keep is given up
+                    self.last_handled = (first - 1) & 0xFFFF
                 if ahead(self.last_announced, last) > 0:
                     self.last_announced = last
                 self._acknowledge()

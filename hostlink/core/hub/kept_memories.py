@@ -7,12 +7,11 @@ from collections.abc import AsyncIterator, Callable
 from hostlink.core.config import Config
 from hostlink.core.hub.kept import Keeper, KeptFile, folder_of, keeping
 from hostlink.core.hub.links import Links
-from hostlink.core.hub.memories import Texts
+from hostlink.core.hub.memories import ADVICE, Texts
 from hostlink.core.runtime.cancellation import meanwhile
 
 BOARDS = "boards"
 NOTE_S = 0.25  # a board that was killed with the daemon sooner after its start is not remembered
-ADVICE = "micro-ROS boards without code to reconnect must be reset after a restart of the daemon"
 
 
 @contextlib.asynccontextmanager

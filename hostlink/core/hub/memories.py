@@ -6,11 +6,19 @@ A device that never announces itself again would otherwise be deaf for ever: mic
 import asyncio
 from collections.abc import Callable
 
+import structlog
+
 from hostlink.core.link.link import Link
 from hostlink.core.protocol.session import DeviceProtocol
+from hostlink.core.runtime.logs import printable
+
+log = structlog.get_logger()
 
 MOST = 256  # devices; the ones whose memory changed least recently are forgotten
-MOST_CHARS = 16 * 1024  # of one device: forty topics with long names
+MOST_CHARS = 256 * 1024  # of one device: as many topics as it may have, described in XML
+MOST_CHARS_TOGETHER = 3_000_000  # the file of a daemon has at most 4 MB, with escapes
+MOST_LOGGED = 4 * MOST  # devices of which it is known that they were logged
+ADVICE = "micro-ROS boards without code to reconnect must be reset after a restart of the daemon"
 TCP = "tcp"  # a connection ends with the daemon, and the next one is of another port
 
 Texts = dict[str, str]
@@ -25,10 +33,13 @@ class Memories:
         self.links: dict[int, Link] = {}  # of devices that may be remembered
         self.has_links = asyncio.Event()
         self._versions: dict[int, int] = {}  # of each link, as noted
+        self._chars = 0  # of all texts
+        self._logged: set[str] = set()  # keys of devices that were reported as not remembered
 
     def restore(self, texts: Texts) -> None:
         """Remember what was kept before this start."""
         self.texts = dict(list(texts.items())[-MOST:])
+        self._chars = sum(map(len, self.texts.values()))
 
     def of(self, protocol: DeviceProtocol, kind: str, peer: str, address: str) -> str:
         """Return the memory of the device at a place; empty if there is none."""
@@ -45,7 +56,9 @@ class Memories:
 
     def forget(self, protocol: DeviceProtocol, kind: str, peer: str, address: str = "") -> None:
         """Forget the device at a place: it begins anew, or another one is there."""
-        if self.texts.pop(_key(protocol.name, kind, peer, address), None) is not None:
+        text = self.texts.pop(_key(protocol.name, kind, peer, address), None)
+        if text is not None:
+            self._chars -= len(text)
             self.on_change()
 
     def join(self, link: Link) -> None:
@@ -59,8 +72,9 @@ class Memories:
             self._note(link)
 
     def leave(self, link: Link) -> None:
-        """Note the last memory of a link that has ended."""
+        """Note the last memory of a link that has ended, with its last numbers: those before are older."""
         if self.links.pop(link.number, None) is not None:
+            self._versions[link.number] = -1
             self._note(link)
             self._versions.pop(link.number, None)
             if not self.links:
@@ -75,12 +89,30 @@ class Memories:
 
     def _put(self, key: str, text: str) -> None:
         before = self.texts.pop(key, "")
-        if text and len(text) <= MOST_CHARS:
+        self._chars -= len(before)
+        if len(text) > MOST_CHARS:
+            self._log_forgotten(key, f"its objects take {len(text)} characters, the limit is {MOST_CHARS}")
+        elif text:
             self.texts[key] = text
-            if len(self.texts) > MOST:
-                del self.texts[next(iter(self.texts))]
+            self._chars += len(text)
+            while len(self.texts) > MOST or self._chars > MOST_CHARS_TOGETHER:
+                self._forget_oldest()
         if text != before:
             self.on_change()
+
+    def _forget_oldest(self) -> None:
+        oldest = next(iter(self.texts))
+        self._chars -= len(self.texts.pop(oldest))
+        limit = f"{MOST} devices and {MOST_CHARS_TOGETHER} characters"
+        self._log_forgotten(oldest, f"others changed later, and the limit of all together is {limit}")
+
+    def _log_forgotten(self, key: str, reason: str) -> None:
+        """Log a device that is not remembered, once."""
+        if key not in self._logged:
+            if len(self._logged) >= MOST_LOGGED:
+                self._logged.clear()
+            self._logged.add(key)
+            log.warning("boards.forgotten", board=printable(key), reason=reason, advice=ADVICE)
 
 
 def _key(protocol: str, kind: str, peer: str, address: str) -> str:

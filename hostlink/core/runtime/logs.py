@@ -2,7 +2,7 @@
 
 Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, link.diagnosed,
                  link.too_large, connection.refused, serial.waiting, serial.baud_tried, serial.baud_found,
-                 serial.protocol_found, boards.damaged, boards.not_kept
+                 serial.protocol_found, boards.damaged, boards.forgotten, boards.not_kept
 Its messages     topics.requested, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
                  parameter.refused, protocol.version_1, participant.crashed
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,

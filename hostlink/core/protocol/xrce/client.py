@@ -3,8 +3,10 @@
 from collections import deque
 from typing import Final
 
+from hostlink.core.protocol.xrce.evidence import STORED_BITS, STORED_PAUSE_S, Evidence, sent_step
 from hostlink.core.protocol.xrce.objects import ObjectTable
-from hostlink.core.protocol.xrce.streams import BestEffortInput, ReliableInput, ReliableOutput
+from hostlink.core.protocol.xrce.resume import ClientState
+from hostlink.core.protocol.xrce.streams import WINDOW, BestEffortInput, ReliableInput, ReliableOutput
 from hostlink.core.protocol.xrce.wire import (
     BEST_EFFORT,
     KEYLESS,
@@ -19,6 +21,7 @@ from hostlink.core.protocol.xrce.wire import (
     Kind,
     Range,
     ReadRequest,
+    distance,
     encode_acknack,
     encode_heartbeat,
     encode_message,
@@ -163,7 +166,10 @@ class XrceClient:
         self.flying_mark = 0
         self.behind_s = SLOW_S  # pause between two velocities to a board that is silent
         self.is_confirmed = True  # after a restart of the host: it is the client that the state tells of
-        self.evidence = 0  # messages that fit the state of a resumed client
+        self.is_over = False  # it was removed, and nothing of it counts
+        self.unfit: set[int] = set()  # objects whose messages are not of their type
+        self.put_s = float("-inf")  # last reliable message to it
+        self._stored_sent = 0
         self.created_s = self.heard_s = now_s
         self.round_trip_s = FIRST_ROUND_TRIP_S
         self.least_round_trip_s = float("inf")
@@ -178,6 +184,7 @@ class XrceClient:
     def reset_streams(self, now_s: float) -> None:
         """Begin all streams at their first number."""
         self.is_resumed = False  # the streams began before the host did
+        self.evidence: Evidence | None = None  # that it is the client of a stored state
         self.inputs: dict[int, ReliableInput] = {}
         self.lossy_inputs: dict[int, BestEffortInput] = {}
         self.output = ReliableOutput()
@@ -206,6 +213,49 @@ class XrceClient:
         self.rests.clear()
         self.held.clear()
         self.flying_until_s = float("-inf")
+
+    # -- what is stored -----------------------------------------------------------------------------------------------
+
+    def stored(self) -> ClientState:
+        """Return what a later session needs to go on. Numbers that are not known are those of the state before."""
+        output, inputs, sent = self.output, dict[int, int](), self.output.next
+        if self.evidence is not None:
+            inputs |= self.evidence.stored.inputs
+            sent = sent if output.is_known else self.evidence.stored.sent
+        inputs |= {stream: each.next for stream, each in self.inputs.items() if each.is_known}
+        return ClientState(
+            self.info,
+            output.first,
+            sent,
+            inputs,
+            tuple(sorted(self.unfit)),
+            tuple(each.payload for each in self.objects.by_id.values()),
+            tuple(payload for id_, payload in self.reads.items() if id_ in self.objects.by_id),
+        )
+
+    def passed(self, now_s: float) -> int:
+        """Return a number that changes when those of the streams are worth storing again."""
+        sent = self.output.next
+        is_far = abs(distance(self._stored_sent, sent)) >= sent_step(self._stored_sent)
+        if is_far or now_s - self.put_s >= STORED_PAUSE_S:
+            self._stored_sent = sent
+        return self._stored_sent + sum(each.next >> STORED_BITS for each in self.inputs.values())
+
+    def is_refuted_by(self, stream: int, *numbers: int) -> bool:
+        """Whether the first numbers of a reliable stream show that this is not the client of the stored state."""
+        evidence, reliable = self.evidence, self.inputs.get(stream)
+        if evidence is None or not self.is_resumed or (reliable is not None and reliable.is_known):
+            return False
+        return not all(evidence.fits_input(stream, each) for each in numbers)
+
+    def is_doubted(self, now_s: float) -> bool:
+        """Whether a message that does not fit shows that this is not the client of the stored state."""
+        return self.is_resumed and self.evidence is not None and now_s < self.evidence.doubted_until_s
+
+    @property
+    def settled_s(self) -> float:
+        """Time at which silence is evidence enough; infinite if it is not waited for."""
+        return float("inf") if self.is_confirmed or self.evidence is None else self.evidence.settled_s
 
     def begin(self, now_s: float) -> None:
         """Begin a new connection. A client whose number is unknown is asked for it."""
@@ -418,7 +468,8 @@ class XrceClient:
     def due_heartbeat(self, now_s: float) -> bytes:
         """Return the message that makes the client tell what it has, and plan the next one.
 
-        Where its expected number is unknown, it is an earlier one, which the client drops and answers.
+        Where its expected number is unknown, it is an earlier one, which the client drops and answers. Another client
+        that expects just this one takes it, and must not expect the stored number then.
         """
         self.heartbeats += 1
         if self.heartbeats > UNANSWERED_MAX:
@@ -429,7 +480,7 @@ class XrceClient:
         if self.output.is_known:
             return self.message(NO_STREAM, self.heartbeat(now_s))
         self.note_provoked(now_s)
-        return self.message(RELIABLE, EMPTY, (self.output.first - 1) % NUMBERS)
+        return self.message(RELIABLE, EMPTY, (self.output.first - WINDOW) % NUMBERS)
 
     def tried(self, now_s: float) -> bytes:
         """Return the message that tries whether the client keeps a long one."""
@@ -528,6 +579,7 @@ class XrceClient:
             found.append(self.message(RELIABLE, body, self.output.put(body, now_s)))
             self.note_provoked(now_s)
         if found:
+            self.put_s = now_s
             self.heartbeats = 0
             self.plan_heartbeat(now_s)
         return found

@@ -59,6 +59,7 @@ class Facts(NamedTuple):
     is_serial: bool  # there is a line, with a baud rate
     clients: int = 0
     resumed: int = 0  # clients that went on after a restart of the host
+    refuted: int = 0  # clients that were not the ones of the stored state
     pings: int = 0
     round_trip_s: float = 0.0
     least_round_trip_s: float = 0.0
@@ -148,7 +149,11 @@ def _created_again(_: Facts, own: OwnCounts, __: LinkEvidence) -> str:
 
 
 def _session_unknown(facts: Facts, own: OwnCounts, evidence: LinkEvidence) -> str:
-    return "" if facts.clients else explain_unknown(own.unknown, evidence.age_s)
+    if facts.clients:
+        return ""
+    if facts.refuted:
+        return "its numbers or messages are not those of the board whose session was kept"
+    return explain_unknown(own.unknown, evidence.age_s)
 
 
 def _no_reconnect(facts: Facts, own: OwnCounts, evidence: LinkEvidence) -> str:

@@ -194,7 +194,7 @@ class ObjectTable:
         """Create an object as the flags REUSE and REPLACE permit. Return the Status."""
         before = self.by_id.get(new.id)
         if before is not None:
-            if flags & REUSE and before.payload == new.payload:
+            if flags & REUSE and self.has(new):
                 return Status.MATCHED
             if not flags & REPLACE:
                 return Status.MISMATCH if flags & REUSE else Status.ALREADY_EXISTS
@@ -210,6 +210,11 @@ class ObjectTable:
             return Status.RESOURCES
         self.by_id[new.id] = new
         return Status.OK
+
+    def has(self, new: XrceObject) -> bool:
+        """Whether there is exactly this object."""
+        before = self.by_id.get(new.id)
+        return before is not None and before.payload == new.payload
 
     def _has_room(self, kind: int) -> bool:
         if kind in ENDPOINTS:

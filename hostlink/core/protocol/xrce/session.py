@@ -17,12 +17,13 @@ from hostlink.core.protocol.link_evidence import Explain
 from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
 from hostlink.core.protocol.session import DeviceSession
 from hostlink.core.protocol.xrce.client import EMPTY, REPEAT_S, WAITING_MAX, Reading, XrceClient, is_data_for
+from hostlink.core.protocol.xrce.evidence import DOUBT_S, Evidence
 from hostlink.core.protocol.xrce.findings import Facts, OwnCounts, explain
 from hostlink.core.protocol.xrce.framing import Framing
 from hostlink.core.protocol.xrce.names import NO_TYPE
 from hostlink.core.protocol.xrce.objects import ENDPOINTS, XrceObject, decode_object, kind_of
 from hostlink.core.protocol.xrce.payloads import Payloads
-from hostlink.core.protocol.xrce.resume import ClientState, SessionState
+from hostlink.core.protocol.xrce.resume import SessionState
 from hostlink.core.protocol.xrce.streams import WINDOW, ReliableInput, ReliableOutput
 from hostlink.core.protocol.xrce.wire import (
     BEST_EFFORT,
@@ -80,10 +81,6 @@ GONE_S: Final = 3.0
 KEEPALIVE_S: Final = 1.0  # after this silence a HEARTBEAT asks whether the board is alive
 KEPT_BYTES: Final = 1024  # of bytes that are in no message
 LATE_CREATION_S: Final = 2.0  # a CREATE_CLIENT of the session before is a late datagram until then
-ACKNOWLEDGING_S: Final = 0.5  # a resumed client with a reliable stream acknowledges something until then
-EVIDENCE: Final = 3  # messages that fit the state of one without
-RESUMED_NUMBERS_MAX: Final = 8192  # that may have passed since the state was stored
-STORED_BITS: Final = 11  # a state is stored again when 2,048 numbers have passed
 ZERO_NUMBERS: Final = (0, 0x5555, 0xAAAA)
 STOP_INTERVAL_S: Final = 0.12  # a client asks for an acknowledgement after 100 ms without a message
 ACKNOWLEDGER: Final = "hostlink.core.protocol.xrce.acknowledging"
@@ -103,8 +100,8 @@ class Quality:
     """Counts of one connection for a diagnosis, since the link opened."""
 
     __slots__ = (
-        "best_effort", "best_effort_late", "creations", "deleted", "duplicates", "missing", "pings", "reliable",
-        "resent", "restarts", "resumed", "unknown", "unread", "waits",
+        "best_effort", "best_effort_late", "creations", "deleted", "duplicates", "missing", "pings", "refuted",
+        "reliable", "resent", "restarts", "resumed", "unknown", "unread", "waits",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -119,6 +116,7 @@ class Quality:
         self.waits = 0  # HEARTBEATs of a device that has waited for an acknowledgement
         self.restarts = 0  # clients that began anew
         self.deleted = 0  # clients that ended, and have not begun anew
+        self.refuted = 0  # stored clients that were others
         self.resumed = 0  # clients that went on after a restart of the host
         self.unknown = 0  # messages of clients that were not created here
         self.unread = 0  # messages to readers that want no more
@@ -145,7 +143,7 @@ class XrceSession(DeviceSession):
     | created       | CREATE_CLIENT: it has no objects                                                   |
     | announced     | nothing was created for QUIET_S, or it published: the hub knows its endpoints      |
     | created again | the same key: its objects stay; another key: they go, and the next ones are awaited |
-    | resumed       | from a stored state: nothing is sent or passed on until its numbers fit            |
+    | resumed       | from a stored state: nothing is sent or passed on until its Evidence is enough     |
     | gone          | DELETE of the client                                                               |
     """
 
@@ -229,6 +227,8 @@ class XrceSession(DeviceSession):
             else:
                 self._announce(found)
         for client in list(self._clients.values()):
+            if now_s >= client.settled_s:
+                self._judge(client, found)
             if now_s >= client.heartbeat_s:
                 self._put(client.due_heartbeat(now_s))
             elif now_s >= client.silent_at_s(KEEPALIVE_S):
@@ -252,7 +252,7 @@ class XrceSession(DeviceSession):
         deadline_s = self._announce_s
         for client in self._clients.values():
             deadline_s = min(deadline_s, client.heartbeat_s, client.ack_s, client.repair_s)
-            deadline_s = min(deadline_s, client.silent_at_s(KEEPALIVE_S))
+            deadline_s = min(deadline_s, client.settled_s, client.silent_at_s(KEEPALIVE_S))
             if client.samples:
                 deadline_s = min(deadline_s, self._sample_due_s(client))
             if client.held:
@@ -265,7 +265,10 @@ class XrceSession(DeviceSession):
     def is_steady(self) -> bool:
         """Whether only a long silence is waited for."""
         return self._announce_s == math.inf and not any(
-            min(each.heartbeat_s, each.ack_s, each.repair_s) < math.inf or each.samples or each.held or each.zeros
+            min(each.heartbeat_s, each.ack_s, each.repair_s, each.settled_s) < math.inf
+            or each.samples
+            or each.held
+            or each.zeros
             for each in self._clients.values()
         )
 
@@ -340,6 +343,7 @@ class XrceSession(DeviceSession):
             is_serial=self._framing.transport == "serial",
             clients=len(self._clients),
             resumed=self.quality.resumed,
+            refuted=self.quality.refuted,
             pings=self.quality.pings,
             round_trip_s=0.0 if slowest is None else slowest.round_trip_s,
             least_round_trip_s=0.0 if slowest is None else slowest.least_round_trip_s,
@@ -718,6 +722,9 @@ class XrceSession(DeviceSession):
             for each in self._submessages(message.body):
                 self._handle(client, stream, each, found)
             return
+        if client.is_refuted_by(stream, message.number):
+            self._refute(client)
+            return
         reliable = client.input(stream)
         if reliable is None:
             self.counts.refused_frames += 1
@@ -804,12 +811,17 @@ class XrceSession(DeviceSession):
     def _handle(self, client: XrceClient, stream: int, submessage: Submessage, found: list[events.Event]) -> None:
         """Handle a submessage of a client."""
         kind = submessage.kind
+        if client.is_over:
+            return
         if kind == Kind.WRITE_DATA:
             self._take_data(client, submessage, found)
         elif kind == Kind.ACKNACK and (told := decode_acknack(submessage)) is not None:
             if told.stream == RELIABLE:
                 self._take_acknack(client, told, found)
         elif kind == Kind.HEARTBEAT and (told := decode_heartbeat(submessage)) is not None:
+            if told.stream >= RELIABLE and client.is_refuted_by(told.stream, told.first, told.second):
+                self._refute(client)
+                return
             reliable = client.input(told.stream) if told.stream >= RELIABLE else None
             if reliable is not None:
                 self.quality.waits += 1
@@ -824,6 +836,9 @@ class XrceSession(DeviceSession):
                 status = client.delete(request[1])
             else:
                 new = decode_object(submessage)
+                if not client.is_confirmed and (new is None or not client.objects.has(new)):
+                    self._refute(client)
+                    return
                 status = Status.INVALID_DATA if new is None else client.objects.create(new, submessage.flags)
                 self.counts.malformed += new is None
             client.note_creating(self._now_s)
@@ -898,6 +913,7 @@ class XrceSession(DeviceSession):
             limit_bytes=self._framing.limit_bytes,
             now_s=self._now_s,
         )
+        client.output.is_new = True
         client.note_creating(self._now_s)
         self._clients[info.session, client.id_key] = client
         return True
@@ -919,6 +935,7 @@ class XrceSession(DeviceSession):
 
     def _remove(self, client: XrceClient) -> None:
         """Remove a client. The hub keeps its endpoints until others are complete, or none come."""
+        client.is_over = True
         del self._clients[client.session, client.id_key]
         self.outbox.drop_messages()
         self._is_restarted = True
@@ -961,6 +978,9 @@ class XrceSession(DeviceSession):
         written = client.objects.by_id.get(request[1])
         if written is None or written.kind not in ENDPOINTS or written.kind == ObjectKind.DATAREADER:
             self.counts.unknown_ids += 1
+            if client.is_doubted(self._now_s):
+                self._refute(client)
+                return
             found.append(events.UnknownTopicUsed(request[1]))
             return
         if written.kind == ObjectKind.DATAWRITER:
@@ -968,14 +988,14 @@ class XrceSession(DeviceSession):
         id_ = endpoint_id(client.slot, written.id)
         endpoint = self._by_key.get(id_) if self._announce_s == math.inf else None
         if endpoint is not None and written.kind == ObjectKind.DATAWRITER and client.is_confirmed and not self._refused:
-            payload = self._payload(endpoint, submessage.payload[REQUEST_BYTES:])  # nearly always
+            payload = self._payload(client, endpoint, submessage.payload[REQUEST_BYTES:])  # nearly always
             if not isinstance(payload, BadPayload):
                 found.append(events.MessageReceived(endpoint, payload))
             return
         if endpoint is None:
             endpoint = DeviceEndpoint(ENDPOINTS[written.kind][0], id_, *client.objects.name_and_type(written))
-        if not client.is_confirmed:
-            self._weigh(client, endpoint, submessage.payload, found)
+        if client.evidence is not None and not client.is_confirmed:
+            self._weigh(client, client.evidence, endpoint, submessage.payload, found)
             return
         if self._announce_s < math.inf and self._by_key.get(endpoint.key) != endpoint:
             self._announce(found)
@@ -985,18 +1005,24 @@ class XrceSession(DeviceSession):
         elif self._by_key.get(endpoint.key) != endpoint or endpoint.key in self._refused:
             self.counts.refused_frames += 1
         elif written.kind == ObjectKind.REPLIER:
-            self._take_response(endpoint, content, found)
+            self._take_response(client, endpoint, content, found)
         else:
-            payload = self._payload(endpoint, content)
+            payload = self._payload(client, endpoint, content)
             if not isinstance(payload, BadPayload):
                 found.append(events.MessageReceived(endpoint, payload))
 
-    def _payload(self, endpoint: DeviceEndpoint, content: bytes) -> bytes | BadPayload:
+    def _payload(self, client: XrceClient, endpoint: DeviceEndpoint, content: bytes) -> bytes | BadPayload:
         """Translate what a device sends. What is not of its type is counted, and the reason is returned."""
         try:
             return self._payloads.from_device(endpoint, content)
         except BadPayload as error:
             self._undecodable += 1
+            id_ = object_id(endpoint)
+            if id_ not in client.unfit:
+                client.unfit.add(id_)
+                self.state_version += 1
+                if client.is_doubted(self._now_s):
+                    self._refute(client)
             return error.with_traceback(None)
 
     def _take_request(
@@ -1007,7 +1033,7 @@ class XrceSession(DeviceSession):
             self.counts.refused_frames += 1
             return
         content = payload[REQUEST_BYTES:]
-        translated = content if endpoint.key in self._refused else self._payload(endpoint, content)
+        translated = content if endpoint.key in self._refused else self._payload(client, endpoint, content)
         id_ = object_id(endpoint)
         waiting = client.calls.setdefault(id_, set())
         if isinstance(translated, BadPayload) or len(waiting) + len(client.samples.get(id_, ())) >= CALLS_MAX:
@@ -1018,7 +1044,9 @@ class XrceSession(DeviceSession):
         waiting.add(request)
         found.append(events.ServiceRequested(endpoint, translated, request))
 
-    def _take_response(self, endpoint: DeviceEndpoint, content: bytes, found: list[events.Event]) -> None:
+    def _take_response(
+        self, client: XrceClient, endpoint: DeviceEndpoint, content: bytes, found: list[events.Event]
+    ) -> None:
         """Take the response to a call. Those before it are no longer answered."""
         waiting = self._calls.get(endpoint.id, deque())
         number = int.from_bytes(content[SAMPLE_IDENTITY_BYTES - 4 : SAMPLE_IDENTITY_BYTES], "little")
@@ -1027,7 +1055,8 @@ class XrceSession(DeviceSession):
             return
         while waiting.popleft() != number:
             self.counts.refused_frames += 1
-        identity, payload = content[:SAMPLE_IDENTITY_BYTES], self._payload(endpoint, content[SAMPLE_IDENTITY_BYTES:])
+        identity = content[:SAMPLE_IDENTITY_BYTES]
+        payload = self._payload(client, endpoint, content[SAMPLE_IDENTITY_BYTES:])
         if isinstance(payload, BadPayload):
             found.append(events.ResponseRefused(endpoint, payload, identity))
         else:
@@ -1035,8 +1064,9 @@ class XrceSession(DeviceSession):
 
     def _take_acknack(self, client: XrceClient, told: Range, found: list[events.Event]) -> None:
         now_s = self._now_s
-        if not client.output.is_known and not 0 <= distance(client.output.first, told.first) <= RESUMED_NUMBERS_MAX:
-            self._discard(client)
+        evidence = client.evidence
+        if evidence is not None and not client.output.is_known and not evidence.fits_acknack(told.first, now_s):
+            self._refute(client)
             return
         again, mark = client.acknowledge(told, now_s)
         self.quality.resent += len(again)
@@ -1047,8 +1077,7 @@ class XrceSession(DeviceSession):
         asked_at_s = self.device_clock.topics_answered(now_s)
         if asked_at_s is not None:
             found.append(events.TopicsAnswered(asked_at_s))
-        if not client.is_confirmed:
-            self._confirm(client, found)
+        self._judge(client, found)
 
     # -- announcing the endpoints -------------------------------------------------------------------------------------
 
@@ -1239,7 +1268,7 @@ class XrceSession(DeviceSession):
         """Number that changes when `memory` is worth keeping: with the objects, and while numbers pass."""
         if not self.state_version:
             return 0
-        return self.state_version << 8 | sum(each.output.first >> STORED_BITS for each in self._clients.values()) & 0xFF
+        return self.state_version << 24 | sum(each.passed(self._now_s) for each in self._clients.values()) & 0xFFFFFF
 
     def memory(self) -> str:
         """Return the state as text; empty if there is nothing to go on with."""
@@ -1251,59 +1280,74 @@ class XrceSession(DeviceSession):
 
         It has also what is resumed, and waits for its board.
         """
-        return SessionState(
-            tuple(
-                ClientState(
-                    each.info,
-                    each.output.first,
-                    tuple(one.payload for one in each.objects.by_id.values()),
-                    tuple(payload for id_, payload in each.reads.items() if id_ in each.objects.by_id),
-                )
-                for each in self._clients.values()
-                if each.is_confirmed or each.is_resumed
-            )
-        )
+        kept = (each for each in self._clients.values() if each.is_confirmed or each.is_resumed)
+        return SessionState(tuple(each.stored() for each in kept))
 
     def _resume(self, state: SessionState) -> None:
-        """Restore the clients of a state. Nothing is passed on and sent until a client's numbers fit."""
-        for info, number, objects, reads in state.clients[:CLIENTS_MAX]:
+        """Restore the clients of a state. Nothing is passed on and sent until a client's Evidence is enough."""
+        for stored in state.clients[:CLIENTS_MAX]:
+            info = stored.info
             if info.mtu < MTU_MIN or not self._add_client(info, None):
                 continue
             client = self._clients[info.session, _id_key(info)]
             client.is_confirmed, client.is_resumed = False, True
             client.repair_s = math.inf
-            client.output = ReliableOutput(first=number, is_known=False)
-            for payload in objects:
+            client.output = ReliableOutput(first=stored.number, is_known=False)
+            for payload in stored.objects:
                 new = decode_object(Submessage(Kind.CREATE, LITTLE, bytes(2) + payload))
                 if new is not None:
                     client.objects.create(new, 0)
-            for payload in reads:
+            publishes = any(each.kind != ObjectKind.DATAREADER for each in client.objects.endpoints())
+            client.evidence, client.unfit = Evidence(stored, publishes=publishes), set(stored.unfit)
+            for payload in stored.reads:
                 wanted = decode_read(Submessage(Kind.READ_DATA, LITTLE, payload))
                 if wanted is not None:
                     client.readings[wanted.object_id] = Reading(wanted, self._now_s)
                     client.reads[wanted.object_id] = payload
 
-    def _weigh(self, client: XrceClient, endpoint: DeviceEndpoint, payload: bytes, found: list[events.Event]) -> None:
+    def _weigh(
+        self,
+        client: XrceClient,
+        evidence: Evidence,
+        endpoint: DeviceEndpoint,
+        payload: bytes,
+        found: list[events.Event],
+    ) -> None:
         """Take a message of a resumed client as evidence: it is of an object that it created, and of its type."""
+        id_ = object_id(endpoint)
+        before_bytes = REQUEST_BYTES + (SAMPLE_IDENTITY_BYTES if kind_of(id_) == ObjectKind.REPLIER else 0)
         try:
             self._payloads.check(endpoint)
-            self._payloads.from_device(endpoint, payload[REQUEST_BYTES:])
-        except HostlinkError:
-            self._discard(client)
+            self._payloads.from_device(endpoint, payload[before_bytes:])
+        except BadPayload:
+            if id_ not in client.unfit:
+                self._refute(client)
             return
-        if self._now_s >= client.created_s + ACKNOWLEDGING_S:
-            client.evidence += 1
-        if client.evidence >= EVIDENCE:
-            self._confirm(client, found)
+        except WrongType:  # it was refused before, too
+            return
+        evidence.note_message(self._now_s - client.created_s)
+        self._judge(client, found)
 
-    def _confirm(self, client: XrceClient, found: list[events.Event]) -> None:
+    def _judge(self, client: XrceClient, found: list[events.Event]) -> None:
+        """Go on with a resumed client if it has shown that it is the one of the state."""
+        evidence, now_s = client.evidence, self._now_s
+        if client.is_confirmed or evidence is None or not evidence.is_enough(now_s):
+            return
         client.is_confirmed = True
+        evidence.doubted_until_s = now_s + DOUBT_S
         self.quality.resumed += 1
         self._announce(found)
 
-    def _discard(self, client: XrceClient) -> None:
+    def _refute(self, client: XrceClient) -> None:
         """Drop a resumed client: another board is at its address, or it has begun anew."""
-        del self._clients[client.session, client.id_key]
+        if client.is_confirmed:
+            self.quality.resumed -= 1
+            self._remove(client)
+        else:
+            client.is_over = True
+            del self._clients[client.session, client.id_key]
+        self.quality.unknown += 1
+        self.quality.refuted += 1
         self.state_version += 1
 
 

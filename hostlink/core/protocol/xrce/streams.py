@@ -268,6 +268,7 @@ class ReliableOutput:
         "_unacked",
         "first",
         "is_known",
+        "is_new",
         "limit",
         "next",
         "passed",
@@ -286,6 +287,7 @@ class ReliableOutput:
         self._tried: list[bytes] = []
         self.first = self.next = first
         self.is_known = is_known
+        self.is_new = False  # of a new client, which expects 0: other numbers are of its session before
         self.resent = 0
         self._unacked: deque[_Sent] = deque()
         self._odd = 0
@@ -312,12 +314,13 @@ class ReliableOutput:
         """Note an ACKNACK. Return what to send again, by its number: what was last sent before `older_than_s`."""
         acked = distance(self.first, told.first)
         if not self.is_known or not 0 <= acked <= len(self._unacked):
-            if not self._is_moved(told.first):
+            if self.is_new or not self._is_moved(told.first):
                 return []
             self.end_trial(is_kept=False)
             again = [(number_after(self.first, place), sent) for place, sent in enumerate(self._unacked)]
             return [(number, self._repeat(sent, now_s)) for number, sent in again]
         self._odd = 0
+        self.is_new = self.is_new and not acked
         for _ in range(acked):
             self._unacked.popleft()
         self.first = told.first

@@ -435,6 +435,17 @@ def test_board_in_the_session_of_another_host_is_named() -> None:
     assert found.keys() == {"session_unknown"}
 
 
+def test_board_in_the_place_of_the_one_whose_session_was_kept_is_named() -> None:
+    before = Watched((board := stock(restarts=False)).run(), board.client)
+    before.world.run(3.0)
+    memory = before.world.session.memory()
+    number = before.world.session.state().clients[0].number
+    session = MICRO_ROS_UDP.resumed(CATALOG, memory.replace(f'"number": {number}', f'"number": {number + 1}'))
+    after = Watched(iter_of(before), before.world.client, session=session)
+    found = after.found(2.0)
+    assert found["session_unknown"] == "its numbers or messages are not those of the board whose session was kept"
+
+
 # -- topics and types -------------------------------------------------------------------------------------------------
 
 ODOMETRY_TOPIC = topic("rt/odom", "nav_msgs::msg::dds_::Odometry_")

@@ -10,7 +10,7 @@ from hostlink.core.protocol.xrce.resume import TEXT_CHARS_MAX, ClientState, Sess
 from hostlink.core.protocol.xrce.wire import ClientInfo
 
 INFO = ClientInfo(b"\1\0", b"\1\x0f", b"\1\2\3\4", 0x81, (), 508)
-STATE = SessionState((ClientState(INFO, 7, (b"\0\1", b"\0\2"), (b"\0\6",)),))
+STATE = SessionState((ClientState(INFO, 7, 9, {0x80: 30}, (0x15,), (b"\0\1", b"\0\2"), (b"\0\6",)),))
 
 
 def test_state_is_read_as_it_was_written() -> None:
@@ -26,12 +26,13 @@ def changed(**values: object) -> str:
 @pytest.mark.parametrize(
     "text",
     [
-        "", "[", "[]", "3", "null", STATE.to_json()[:-9], " " * (TEXT_CHARS_MAX + 1), '{"format": 2, "clients": []}',
-        '{"format": 1, "clients": 5}', '{"format": 1, "clients": [5]}', "[" * 100_000,
+        "", "[", "[]", "3", "null", STATE.to_json()[:-9], " " * (TEXT_CHARS_MAX + 1), '{"format": 1, "clients": []}',
+        '{"format": 2, "clients": 5}', '{"format": 2, "clients": [5]}', "[" * 100_000,
         changed(key="00"), changed(key=5), changed(session=256), changed(mtu=-1), changed(number=1.5),
-        changed(number=True), changed(objects="00"), changed(objects=["zz"]), changed(reads=["00"] * 5000),
+        changed(number=True), changed(sent=-1), changed(inputs=[5]), changed(inputs=[[256, 0]]), changed(unfit={}),
+        changed(objects="00"), changed(objects=["zz"]), changed(reads=["00"] * 5000),
     ],
-    ids=range(20),
+    ids=range(24),
 )  # fmt: skip
 def test_text_without_a_state_is_refused(text: str) -> None:
     assert read_state(text) is None
@@ -44,5 +45,5 @@ LISTS = st.lists(VALUES, max_size=3) | st.dictionaries(st.text(max_size=4), VALU
 @given(VALUES | LISTS | st.lists(LISTS, max_size=3))
 def test_any_json_raises_nothing(value: object) -> None:
     read_state(json.dumps(value))
-    read_state(json.dumps({"format": 1, "clients": value}))
+    read_state(json.dumps({"format": 2, "clients": value}))
     read_state(changed(objects=value))

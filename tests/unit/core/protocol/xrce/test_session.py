@@ -2,6 +2,7 @@
 
 import math
 import struct
+from collections.abc import Callable
 from random import Random
 
 import pytest
@@ -14,9 +15,10 @@ from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
 from hostlink.core.protocol.xrce.client import IN_FLIGHT_S, REPEATS_AFTER, WAITING_MAX
+from hostlink.core.protocol.xrce.evidence import STORED_PAUSE_S
 from hostlink.core.protocol.xrce.framing import DatagramFraming
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP, Xrce
-from hostlink.core.protocol.xrce.resume import ClientState, SessionState
+from hostlink.core.protocol.xrce.resume import SessionState
 from hostlink.core.protocol.xrce.session import (
     CALLS_MAX,
     CLIENTS_MAX,
@@ -218,6 +220,22 @@ def test_board_that_restarts_is_announced_anew_and_its_velocities_are_dropped() 
     assert [event.is_changed for event in of_kind(here, events.TopicsNegotiated)] == [True, True]  # type: ignore[attr-defined]
     assert here.session.has(velocity)
     assert here.session.quality.restarts == 1
+
+
+@pytest.mark.parametrize("first", [1, 2, 11])
+def test_board_that_answers_heartbeats_of_its_session_before_gets_its_first_status_at_once(first: int) -> None:
+    here = connected()
+    heartbeat = b"\x81\0\0\0" + sub(board.HEARTBEAT, struct.pack("<HHB", first, first, 0x80))
+    other = Client(key=b"new!")
+    here.restart_board(other, idle())
+    here._inbox.extend([heartbeat] * 4)  # they wait in its socket
+    began_s = here.now_s
+    here.frames.clear()
+    assert here.do(other.connect())
+    here.do(creations(other))
+    numbers = [int.from_bytes(frame[2:4], "little") for _, frame in here.frames if frame[1] == 0x80]
+    assert numbers == list(range(11))
+    assert here.now_s - began_s < 0.05
 
 
 def test_late_creation_of_the_session_before_changes_nothing() -> None:
@@ -1535,7 +1553,9 @@ def test_first_messages_of_a_resumed_board_do_not_count_while_it_may_acknowledge
     here.run(here.now_s + 0.6)
     here.client.send(1, 0, sub(board.WRITE, struct.pack(">HH", 1, WRITER) + cdr("std_msgs/String", {"data": "a"})))
     here.session.receive(here.client.sent.pop(), now_s=here.now_s)
-    assert here.session._clients[0x81, b""].evidence == 0
+    evidence = here.session._clients[0x81, b""].evidence
+    assert evidence is not None
+    assert (evidence._messages, evidence._late_messages) == (1, 0)
 
 
 def test_one_of_two_resumed_clients_continues_without_the_other() -> None:
@@ -1556,10 +1576,229 @@ def test_board_whose_messages_do_not_fit_the_state_is_forgotten() -> None:
     assert here.session._clients == {}
 
 
+# -- another board at the address of one whose state was stored -------------------------------------------------------
+
+
+def other_board(ahead: int, *, taken_ahead: int = 0, program: Callable[[Client], Program] | None = None) -> World:
+    """A world whose host restarts while another board takes the address. Its numbers are so far ahead of the stored."""
+    here = connected()
+    (stored,) = here.session.state().clients
+    other = Client(key=b"arm!")
+    other.agent_status = 0  # it has a session, of another host
+    other.last_handled = other.last_announced = (stored.sent + ahead - 1) % 65536
+    other.last_sent = other.last_acked = (stored.inputs[0x80] + taken_ahead - 1) % 65536
+    restarted(here)
+    here.restart_board(other, silent(other) if program is None else program(other))
+    return here
+
+
+def silent(client: Client, until_s: float = math.inf) -> Program:
+    while client.now_s < until_s:
+        yield from client.listen(min(until_s - client.now_s, 1.0))
+
+
+def writing(id_: int, payload: bytes, *, is_reliable: bool = True, after_s: float = 0.7) -> Callable[[Client], Program]:
+    """The program of a board that writes one object every 0.2 s."""
+
+    def run(client: Client) -> Program:
+        yield from silent(client, client.now_s + after_s)
+        while True:
+            if is_reliable:
+                yield from client.publish(id_, payload)
+            else:
+                client.publish_best_effort(id_, payload)
+            yield from silent(client, client.now_s + 0.2)
+
+    return run
+
+
+def driven(here: World) -> bool:
+    """Whether a velocity is accepted and reaches the board."""
+    try:
+        here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    except UnknownTopic:
+        return False
+    here.write()
+    here.run(here.now_s + 0.1)
+    return VELOCITY in taken(here, READER)
+
+
+WORDS = cdr("std_msgs/String", {"data": "a"})
+
+
+def is_unknown(here: World) -> bool:
+    """Whether the stored state was discarded, and the board is one of an unknown session."""
+    unknown, state = here.session.quality.unknown, here.session.state()
+    return unknown > 0 and not driven(here) and state == SessionState(()) and here.session.memory() == ""
+
+
+@pytest.mark.parametrize("ahead", [-1, -30_000, 60, 190, 8_000, 30_000])
+@pytest.mark.parametrize("program", [None, writing(WRITER, WORDS)])
+def test_other_board_whose_number_the_host_cannot_have_reached_is_unknown(
+    ahead: int, program: Callable[[Client], Program] | None
+) -> None:
+    here = other_board(ahead, program=program)
+    here.run(here.now_s + 4.0)
+    assert is_unknown(here)
+    assert of_kind(here, events.TopicsNegotiated) == []
+
+
+@pytest.mark.parametrize("ahead", [0, 2])
+@pytest.mark.parametrize("is_reliable", [True, False])
+@pytest.mark.parametrize(("id_", "payload"), [(0x35, WORDS), (READER, WORDS), (WRITER, b"x")])
+def test_other_board_whose_first_message_does_not_fit_is_unknown(
+    ahead: int, id_: int, payload: bytes, *, is_reliable: bool
+) -> None:
+    here = other_board(ahead, program=writing(id_, payload, is_reliable=is_reliable))
+    here.run(here.now_s + 4.0)
+    assert is_unknown(here)
+    assert of_kind(here, events.TopicsNegotiated) == []
+
+
+@pytest.mark.parametrize("taken_ahead", [-20, -5_000, 7_000, 30_000])
+def test_other_board_whose_own_numbers_do_not_fit_is_unknown(taken_ahead: int) -> None:
+    here = other_board(0, taken_ahead=taken_ahead, program=writing(WRITER, WORDS))
+    here.run(here.now_s + 4.0)
+    assert is_unknown(here)
+    assert of_kind(here, events.TopicsNegotiated) == []
+
+
+def test_other_board_whose_heartbeat_does_not_fit_is_unknown() -> None:
+    here = other_board(0, taken_ahead=9_000)
+    here.run(here.now_s + 0.6)
+    here.client.send(0, 0, sub(board.HEARTBEAT, struct.pack("<HHB", 9_020, 9_021, 0x80)))
+    here._step(None)
+    here.run(here.now_s + 0.1)
+    assert is_unknown(here)
+
+
+def test_board_is_unknown_once_with_two_messages_that_do_not_fit() -> None:
+    here = other_board(0)
+    here.run(here.now_s + 0.6)
+    here.client.put_best_effort(*[sub(board.WRITE, struct.pack(">HH", 1, 0x35) + WORDS)] * 2)
+    here._step(None)
+    here.run(here.now_s + 0.1)
+    assert here.session.quality.refuted == 1
+    assert is_unknown(here)
+
+
+def test_other_board_that_creates_other_objects_is_unknown() -> None:
+    here = other_board(0)
+    here.run(here.now_s + 0.6)
+    here.client.put(here.client.creating(0x02, board.topic("rt/arm", "std_msgs::msg::dds_::Float32_"), 1)[1])
+    here._step(None)
+    here.run(here.now_s + 0.1)
+    assert is_unknown(here)
+
+
+@pytest.mark.parametrize(("id_", "payload"), [(0x35, WORDS), (WRITER, b"x"), (REPLIER, bytes(24) + b"x")])
+def test_other_board_that_was_silent_is_unknown_with_its_first_message(id_: int, payload: bytes) -> None:
+    here = other_board(0, program=writing(id_, payload, after_s=3.0))
+    here.run(here.now_s + 2.5)
+    assert driven(here)  # nothing that was heard tells the boards apart
+    here.run(here.now_s + 1.0)
+    here.client.taken.clear()
+    if id_ != REPLIER:  # a response without a call is not looked at
+        assert is_unknown(here)
+        here.run(here.now_s + 2.0)
+        assert here.session.topics == ()
+        assert here.session.quality.resumed == 0
+
+
+def test_board_whose_number_the_host_may_have_reached_continues_with_its_first_message() -> None:
+    here = other_board(30)
+    here.run(here.now_s + 3.0)
+    assert not driven(here)
+    assert here.do(here.client.publish(WRITER, WORDS)).is_done
+    assert driven(here)
+
+
+def test_board_that_was_killed_with_messages_on_the_way_continues_at_once() -> None:
+    here = connected()
+    here.is_host_there = True
+    here.link.loss = 1.0
+    for _ in range(2):
+        here.session.publish("/words", text("a"), depth=4)
+    here.write()
+    here.link.loss = 0.0
+    (stored,) = here.session.state().clients
+    assert stored.sent == stored.number + 2
+    restarted(here)
+    here.run(here.now_s + 2.0)
+    assert driven(here)
+
+
+def test_message_of_a_topic_that_never_fitted_does_not_count() -> None:
+    here = connected()
+    version = here.session.memory_version
+    here.do(here.client.publish(WRITER, b"x"))
+    here.do(here.client.publish(WRITER, b"x"))
+    assert here.session.memory_version == version + (1 << 24)
+    restarted(here)
+    here.run(here.now_s + 0.55)
+    assert here.do(here.client.publish(WRITER, b"x")).is_done
+    assert not here.session.topics
+    here.run(here.now_s + 1.5)
+    assert driven(here)
+
+
+def test_message_of_a_refused_type_does_not_count() -> None:
+    here = connected()
+    here.do(here.client.create(0x32, board.topic("rt/log", "rcl_interfaces::msg::dds_::Log_"), 1))
+    here.do(here.client.create(0x35, board.endpoint(0x32, is_reader=False), 3))
+    here.run(here.now_s + 0.5)
+    assert here.session.refusals
+    restarted(here)
+    here.run(here.now_s + 0.55)
+    assert here.do(here.client.publish(0x35, b"x")).is_done
+    assert not here.session.topics
+    here.run(here.now_s + 1.5)
+    assert driven(here)
+
+
+def test_late_response_to_a_call_of_the_host_before_is_evidence() -> None:
+    here = restarted(connected())
+    here.run(here.now_s + 0.55)
+    response = bytes(24) + b"\1\0\0\0\1\0\0\0\0"
+    here.client.put(sub(board.WRITE, struct.pack(">HH", 1, REPLIER) + response))
+    here._step(None)
+    here.run(here.now_s + 0.1)
+    assert driven(here)
+
+
+def test_state_is_worth_storing_when_numbers_have_passed_and_when_none_pass() -> None:
+    here = connected()
+    session = here.session
+    here.run(here.now_s + STORED_PAUSE_S)
+    found = [session.memory_version]
+
+    def send(count: int) -> None:
+        for _ in range(count):
+            session.publish("/words", text("a"))
+            here.write()
+            here.run(here.now_s + 0.05)
+            found.append(session.memory_version)
+
+    send(10)
+    assert len(set(found)) == 1
+    send(10)
+    assert len(set(found)) == 2
+    here.run(here.now_s + STORED_PAUSE_S)
+    assert session.memory_version not in found
+
+
+def test_state_that_waits_for_its_board_is_stored_as_it_was() -> None:
+    here = connected()
+    state = here.session.state()
+    session = MICRO_ROS_UDP.resumed(CATALOG, state.to_json())
+    session.open(now_s=0.0)
+    assert session.state() == state
+
+
 def test_state_with_damaged_parts_is_restored_without_them() -> None:
     here = connected()
     (client,) = here.session.state().clients
-    damaged = ClientState(client.info, client.number, (b"", *client.objects), (b"", *client.reads))
+    damaged = client._replace(objects=(b"", *client.objects), reads=(b"", *client.reads))
     tiny = client._replace(info=client.info._replace(mtu=5))
     restarted(here, SessionState((tiny, damaged)))
     here.run(here.now_s + 2.0)
