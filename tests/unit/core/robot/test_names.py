@@ -955,3 +955,10 @@ def test_robot_is_named_by_its_velocity_s_namespace_or_its_node_and_never_by_its
     assert isinstance(again, Accepted)
     assert again.robot is not None
     assert again.robot.name != name
+
+
+def test_robots_that_the_settings_place_at_a_port_precede_those_of_its_address() -> None:
+    found = Directory({"car": HOME, "arm": f"{HOME}:40001", "free": None}, {})
+    assert found.placed(Origin("", HOME, f"{HOME}:40001")) == ["arm"]
+    assert found.placed(Origin("", HOME, f"{HOME}:40002")) == ["car"]
+    assert found.placed(Origin("", AWAY, AWAY)) == []
