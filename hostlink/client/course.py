@@ -11,7 +11,7 @@ STOP_LAG_S = 0.05  # from a pose to the end of its command's effect; each leg le
 LONGEST_LAG_S = 0.5
 POSE_INTERVAL_S = 0.1  # until two poses have come
 MAX_CORRECTIONS = 2  # of one leg: a robot that follows badly must not turn to and fro
-CLOSE_M, CLOSE_RAD = 0.008, 0.015  # a leg whose end is so near is done: a pose at the lowest speed
+CLOSE_M, CLOSE_RAD = 0.001, 0.003  # a leg whose end is so near is done, and half a pose at the lowest speed more
 SLOW_M_S, SLOW_RAD_S = 0.08, 0.3  # at the end of a leg; at lower speeds a geared motor does not turn
 SLOW_FROM_M, SLOW_FROM_RAD = 0.15, 0.5  # what then remains
 HEADING_PER_S = 1.5  # of a heading's error: how a line is followed
@@ -113,7 +113,8 @@ class CourseFollower:
         left = self._left(leg, pose)
         left_before, speed = self._ended_at
         self._lag_s = min(max((left_before - left * math.copysign(1.0, speed)) / abs(speed), 0.0), LONGEST_LAG_S)
-        if abs(left) > (CLOSE_RAD if leg.turn_rad else CLOSE_M) and self._corrections < MAX_CORRECTIONS:
+        close, slow = (CLOSE_RAD, SLOW_RAD_S) if leg.turn_rad else (CLOSE_M, SLOW_M_S)
+        if abs(left) > close + slow * self._interval_s / 2 and self._corrections < MAX_CORRECTIONS:
             self._corrections += 1
             self._progress, self._began_s = _Progress(), None
         else:
