@@ -643,16 +643,10 @@ OF_EVERY_BOARD = [
 ]
 
 
-#: Every board hears those of COMPLETE. Each further entry point drives one board: a gate does not know its source.
-PAIRS = [(name, each) for name in BOARDS for each in COMPLETE] + [
-    (list(BOARDS)[number % len(BOARDS)], each)
-    for number, each in enumerate(each for each in OF_EVERY_BOARD if each not in COMPLETE)
-]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("protocol", DEVICES)
-@pytest.mark.parametrize(("name", "entry_point"), PAIRS)
+@pytest.mark.parametrize("entry_point", OF_EVERY_BOARD)
+@pytest.mark.parametrize("name", BOARDS)
 def test_board_of_each_command_type_obeys_the_admission(
     name: str, entry_point: type[EntryPoint], protocol: str
 ) -> None:

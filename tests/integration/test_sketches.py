@@ -13,14 +13,16 @@ from typing import Any
 import pytest
 
 from hostlink.cli.settings import load
-from hostlink.core.config import Config
+from hostlink.core.config import Config, RobotConfig
 from hostlink.core.hub.reloader import places_of
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.robot.model import Endpoint, actuators, find_robot, suggestion, unguarded
 from hostlink.core.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, PlanarVelocity
+from hostlink.errors import CommandRefused
 from tests.support.fake_device import CATALOG
 from tests.support.memory_hub import MemoryHub, in_hub
+from tests.support.participants import publish
 from tests.support.scripted_device import ScriptedDevice
 
 PROGRAMS: list[dict[str, Any]] = json.loads((Path(__file__).parent.parent / "sketches.json").read_text())["programs"]
@@ -161,6 +163,30 @@ def test_a_reload_makes_a_robot_of_a_device_that_is_connected(program: dict[str,
         await device.aclose()
 
     in_hub(test)
+
+
+@pytest.mark.parametrize("program", [each for each in PROGRAMS if each not in ROBOTS], ids=ident)
+def test_lock_by_name_refuses_what_takes_no_velocity(program: dict[str, Any]) -> None:
+    """Positions, and commands of a type that is the project's own: `locked_topics` gives a lock for them."""
+    names = tuple(each.name for each in endpoints(program) if each.is_to_device)
+    if what_it_is(program) == ACTUATORS:
+        config = Config(robots={NAME: RobotConfig(address=ADDRESS, locked_topics=names)})
+    else:
+        config = config_of(settings_of(program))
+        names = config.robots[NAME].locked_topics
+
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect(infos(program), address=ADDRESS)
+        made.hub.robots.find_to_stop(NAME).lock("a foot")
+        locked = [info for info in device.infos if info.name in names and info.type not in UNKNOWN_TYPES]
+        for info in locked:
+            with pytest.raises(CommandRefused, match=r"locked: a foot; to drive it again: hostlink unlock mine$"):
+                publish(made.hub, info.name, {}, type_name=info.type)
+        assert locked or any(info.type in UNKNOWN_TYPES for info in device.infos)
+        await asyncio.sleep(0.1)
+        assert not any(device.payloads(info.id) for info in locked)
+
+    in_hub(test, config)
 
 
 def test_table() -> None:

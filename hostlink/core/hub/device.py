@@ -1,5 +1,6 @@
 """Device: the topics and services of one link in the graph, their names there, and the routes of its frames."""
 
+import contextlib
 import dataclasses
 import struct
 from collections.abc import Callable, Iterable, Mapping
@@ -388,7 +389,8 @@ class Device:
             if zero is None:
                 self.link.session.drop_commands(info)
             else:
-                self.link.session.publish(info.name, zero, is_urgent=True)
+                with contextlib.suppress(HostlinkError):  # its board has begun anew; others must get theirs
+                    self.link.session.publish(info.name, zero, is_urgent=True)
         if self.unguarded:
             self.link.wake()
 

@@ -99,6 +99,7 @@ class Hub(Shared):
         async with asyncio.TaskGroup() as self.tasks:
             self.spawn(self.diagnoses.run(), name="diagnoses")
             self.spawn(self.robots.run(), name="known robots")
+            self.spawn(self.robots.repeat_zeros(), name="zeros under a lock")
             self.spawn(DiagnosticsTopic(self, self.robots, self.join_daemon()).run(), name="diagnostics")
             self.spawn(DeviceBytes(self.topics.budget["devices"], self.links.memories).run(), name="bytes of devices")
             self.spawn(_log_what_is_missing(), name="log")

@@ -304,7 +304,8 @@ class Links:
         """Return the robots whose lock holds for a device by the settings, or would by these places."""
         member, placed = device.member, self._directory.placed(_origin(device.link))
         if places is None:
-            return {*(() if member is None else (member.robot,)), *(self._robots.may_be(device) & set(placed))}
+            away = {name for name in self._robots.may_be(device) & set(placed) if self._robots.is_free(name)}
+            return {*(() if member is None else (member.robot,)), *away}
         kept = set() if member is None or not places.keeps(member.robot, member, is_connected=True) else {member.robot}
         return kept | set(places.nearest(_origin(device.link)))
 
@@ -322,6 +323,11 @@ class Links:
             self._robots.forget(name)
         for link in touched:
             self._identify(self._devices[link])
+        joined = set[str]()
+        for device in self._devices.values():  # what the settings place where a device is may be another robot now
+            if device.robot is None and not device.is_undecided and device.infos:
+                joined |= self._note_candidate(device, Accepted(None, None, member=device.member))
+        self._regroup(joined)
         found = {name: self._devices[link].robot for name, link in links.items()}
         return {name: robot.name for name, robot in found.items() if robot is not None}
 
@@ -407,10 +413,6 @@ class Links:
         joined = {each.robot for each in (device.member, claim.member) if each is not None}
         before_member = device.member
         device.settings, device.member = claim.settings, claim.member
-        if claim.robot is None and claim.member is None and not device.diagnosis.is_played:
-            joined |= self._robots.note_candidate(device, self._directory.placed(_origin(device.link)))
-        else:
-            joined |= self._robots.forget_candidate(device)
         if claim.member is not None and claim.member.is_waiting and claim.member != before_member:
             name, place, _ = claim.member
             log.warning("robot.device_twice", robot=name, device=printable(place), peer=printable(device.link.peer))
@@ -418,6 +420,7 @@ class Links:
         touched, before = device.names, device.robot
         changed = [] if before is None else [before]
         robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
+        joined |= self._note_candidate(device, None if robot is not None else claim)
         if robot is None:
             self._robots.vanish(device)
             device.announce(device.infos, ShownNames())
@@ -436,6 +439,13 @@ class Links:
                 self._log_unguarded(each)
         for message, read in device.early.pop_all():
             device.receive(message, read)
+
+    def _note_candidate(self, device: Device, claim: Accepted | None) -> set[str]:
+        """Note which robots a device without one may be. `claim` is None if it has one. Return the robots' names."""
+        if claim is None or claim.member is not None or device.diagnosis.is_played:
+            return self._robots.forget_candidate(device)
+        named = [] if claim.robot is None else [claim.robot.name]  # its command does not fit
+        return self._robots.note_candidate(device, [*named, *self._directory.placed(_origin(device.link))])
 
     def _misfit(self, device: Device, claim: Accepted) -> str:
         """Return what does not fit in the settings of a robot, now that its device is accepted; empty: nothing."""
@@ -456,6 +466,8 @@ class Links:
         before, robots = device.robot, self._robots
         own = dataclasses.replace(names, name=claim.own_name)
         shown = ShownNames(own, names.name)
+        known = robots.get_here(names.name)
+        is_new = known is None or known.last_address != device.link.address
         try:
             robot = robots.appear(names.name, own, shown.of_robot(own), device)
         except ConfigError as error:
@@ -471,8 +483,8 @@ class Links:
         if before is not robot and robot.gate.lock_reason is None:
             other = None if claim.is_certain else robots.locked_likewise(robot)
             other = other or self._locked_before(device, robot, claim)
-            if other is None and not self._directory.placed(_origin(device.link)):
-                other = robots.locked_before(device, robot)
+            is_placed = bool(self._directory.placed(_origin(device.link)))
+            other = other or robots.locked_before(device, robot, is_new=None if is_placed else is_new)
             if other is not None:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
                     reason = f"it may be {other.name}: {other.gate.lock_reason}"

@@ -43,10 +43,10 @@ class LocalRobot(Drivable, AnyRobot):
     shown: RobotTopicNames  # names in the graph
     on_lock: "Callable[[LocalRobot], None]"  # called after a lock or unlock: a locked robot is never forgotten
     locked_link: Link | None = None  # link at the time of the lock
-    # Its other devices if it has several; else, while its own is away, those that may be it without its command.
-    parts: tuple[Connection, ...] = ()
-    last_link: int = 0  # number of the link of its last device
-    last_address: str = ""  # of its last device
+    parts: tuple[Connection, ...] = ()  # its other devices, if it consists of several
+    candidates: tuple[Connection, ...] = ()  # while its device is away: those without a robot that may be it
+    last_link: int = 0  # number of the link of its last device that was no recording
+    last_address: str = ""  # of this device
     feedback_links: dict[tuple[str, str], Link] | None = None  # of each topic of its feedback; None: its own link
     has_had_device: bool = False  # one that is not a recording
     host: None = None
@@ -111,8 +111,14 @@ class LocalRobot(Drivable, AnyRobot):
     def _unreachable(self) -> str | None:
         """Return why it cannot be driven or stopped although a device of it is connected; None if it can."""
         if self.connection is None:
-            return self.refusals.cause or self.admission.missing or None
+            return self.refusals.cause or self.admission.missing or self._why_no_candidate or None
         return self.refusals.cause or self.admission.missing or self.no_stop or None
+
+    @property
+    def _why_no_candidate(self) -> str:
+        """Return why no device that may be it is the robot; empty: there is none."""
+        peers = " and ".join(each.link.peer for each in self.candidates)
+        return peers and f"{peers}, which may be its device, takes no velocity of it"
 
     def _device_errors(self, connection: Connection) -> tuple[str, ...]:
         """Return the codes of the findings of all its devices."""
@@ -140,7 +146,7 @@ class LocalRobot(Drivable, AnyRobot):
     def stop_here(self, *, by: str | None = None) -> None:
         """Stop only this robot."""
         try:
-            self.gates.stop(self.beside, by=by)
+            self.gates.stop(self._stopped, by=by)
         finally:
             self._stop_unguarded()
 
@@ -154,7 +160,7 @@ class LocalRobot(Drivable, AnyRobot):
         """Lock only this robot."""
         self.locked_link = self.link
         try:
-            self.gates.lock(self.beside, shown_reason(reason), by=by)
+            self.gates.lock(self._stopped, shown_reason(reason), by=by)
         finally:
             self._stop_unguarded()
             self.on_lock(self)
@@ -163,8 +169,14 @@ class LocalRobot(Drivable, AnyRobot):
 
     @property
     def devices(self) -> tuple[Connection, ...]:
-        """Connected devices of this robot."""
-        return self.parts if self.connection is None else (self.connection, *self.parts)
+        """Connected devices of this robot, and those that may be it."""
+        others = (*self.parts, *self.candidates)
+        return others if self.connection is None else (self.connection, *others)
+
+    @property
+    def _stopped(self) -> list[Drivable]:
+        """All velocity topics of its devices, and of those that may be it."""
+        return [*self.beside, *(drivable for each in self.candidates for drivable in each.drivables)]
 
     def _stop_unguarded(self) -> None:
         """Send zero to what else its devices take that looks like a command."""
@@ -208,7 +220,7 @@ class LocalRobot(Drivable, AnyRobot):
         """Return the reason why odometry does not show whether the robot is stopped."""
         link = self.link
         if link is None or self.admission.missing:
-            return self.admission.missing or "its device is not connected"
+            return self.admission.missing or self._why_no_candidate or "its device is not connected"
         if not self.feedback.topics:
             cause = self.refusals.cause
             return NO_ODOMETRY if cause is None else f"its device cannot receive the stop: {cause}"

@@ -36,7 +36,7 @@ from hostlink.core.robot.model import CommandKind, RobotTopicNames, motion_of
 from hostlink.core.robot.odometry import OdometryEstimator
 from hostlink.core.robot.parts import Membership, Parts, parts_of
 from hostlink.core.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
-from hostlink.core.robot.velocity_gate import VelocityGate
+from hostlink.core.robot.velocity_gate import LOCKED_ZERO_INTERVAL_S, VelocityGate
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.errors import ConfigError, FrameTooLarge, HostlinkError, UnknownTopic
 
@@ -282,35 +282,40 @@ class Robots:
         """
         before = self._may_be.pop(device.link.number, frozenset())
         commands = {(each.name, each.type_name) for each in device.endpoints if each.is_to_device}
+        link = device.link
         alike = (
             robot.name
             for robot in self._robots.values()
-            if robot.last_address == device.link.address and not commands.isdisjoint(robot.topics.commands)
+            if robot.last_link == link.number
+            or (robot.last_address == link.address and not commands.isdisjoint(robot.topics.commands))
         )
         names = frozenset(name for name in (*placed, *alike) if not self.config_of(name).devices)
         if names:
-            self._may_be[device.link.number] = names
+            self._may_be[link.number] = names
         return {*before, *names}
 
     def forget_candidate(self, device: Device) -> set[str]:
         """Note that a device is a robot, or has left. Return the names of the robots that it could have been."""
         return set(self._may_be.pop(device.link.number, ()))
 
-    def locked_before(self, device: Device, robot: LocalRobot) -> LocalRobot | None:
+    def locked_before(self, device: Device, robot: LocalRobot, *, is_new: bool | None) -> LocalRobot | None:
         """Return a locked robot that is away and that this one may be, by its device; None if there is none.
 
-        It had the same link; or the same address, and the same command or no neighbour that is not locked and away.
+        It had the same link. Or it had the same address, and the same command with another name; for one that `is_new`
+        there also if it has no neighbour that is not locked and away. None: the settings tell the robots there apart.
         """
         link = device.link
         there = [each for each in self._robots.values() if each.last_address == link.address and each is not robot]
         locked = [each for each in there if each.connection is None and each.gate.lock_reason is not None]
-        commands = robot.topics.commands
-        same = (
-            each
-            for each in locked
-            if each.last_link == link.number or not set(each.topics.commands).isdisjoint(commands) or locked == there
-        )
-        return next(same, None)
+
+        def is_same(other: LocalRobot) -> bool:
+            if other.last_link == link.number or is_new is None:
+                return other.last_link == link.number
+            is_renamed = other.topics.name != robot.topics.name
+            has_command = not set(other.topics.commands).isdisjoint(robot.topics.commands)
+            return (is_renamed and has_command) or (is_new and locked == there)
+
+        return next(filter(is_same, locked), None)
 
     def locked_likewise(self, robot: LocalRobot) -> LocalRobot | None:
         """Return a locked robot that may be this one, reconnected under another name; None if there is none."""
@@ -414,6 +419,8 @@ class Robots:
             log.warning("robots.all_unlocked", reason=self.boards.lock_reason)
         self.boards.unlock(loop_time_s(), by=by)
         self._gates.unlock(self._without_robot(), by=by)
+        for device in self.devices.values():
+            self._follow_lock(device)
 
     def endpoints(self) -> list[CommandEndpoint]:
         """Return the endpoints here that command a motion and are not a robot's, after a stop or a lock."""
@@ -468,7 +475,8 @@ class Robots:
         _configure(robot)  # its drive follows from its command
         robot.battery = None
         device.robot = robot
-        robot.last_link, robot.last_address = device.link.number, device.link.address
+        if not device.diagnosis.is_played:
+            robot.last_link, robot.last_address = device.link.number, device.link.address
         device.diagnosis.monitor.motion.topic = topics.odometry or ""
         self._away.remove(name)
         self._gates.attach(robot, device)
@@ -505,6 +513,8 @@ class Robots:
         config = self.config_of(name) if robot is None else robot.config
         if not config.devices:
             if robot is not None:
+                self._note_parts(robot, (), None)
+                self._gates.note_missing([robot], "")
                 self._note_candidates(robot)
             return robot
         endpoints = {place: device.endpoints for place, device in members.items()}
@@ -530,28 +540,37 @@ class Robots:
         elif before and not parts.why_not:
             log.info("robot.complete", robot=name)
         self._read_parts(robot, parts, members)
-        self._lock_beside(robot)
+        self._note_candidates(robot)
+        for drivable in robot.beside:
+            reason = robot.gate.lock_reason
+            if reason is not None and drivable.admission.lock_reason is None:
+                with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
+                    self._gates.lock([drivable], reason, by=robot.admission.locked_by)
         return robot
 
     def _note_candidates(self, robot: LocalRobot) -> None:
         """Let the stop and the lock of a robot that is away hold for the devices that may be it."""
-        found = (self.devices[link] for link, names in self._may_be.items() if robot.name in names)
-        here, before = () if robot.connection is not None else tuple(found), robot.parts
-        self._note_parts(robot, here, None)
-        for device in here:
-            if robot.gate.lock_reason is not None and device not in before:
-                device.stop_unguarded()
-        peers = " and ".join(device.link.peer for device in here)
-        self._gates.note_missing([robot], peers and f"{peers}, which may be its device, takes no velocity of it")
-        self._lock_beside(robot)
+        links = (link for link, names in self._may_be.items() if robot.name in names and robot.connection is None)
+        before, robot.candidates = robot.candidates, tuple(self.devices[link] for link in links)
+        touched = (*before, *robot.candidates)
+        for device in list(self.devices.values()):  # what has left follows no lock
+            if device in touched:
+                self._follow_lock(device)
+                if device not in before and device.lock.lock_reason is not None:
+                    device.stop_unguarded()
 
-    def _lock_beside(self, robot: LocalRobot) -> None:
-        """Lock the velocity topics of a locked robot's devices that have come since."""
-        reason = robot.gate.lock_reason
-        for drivable in robot.beside:
-            if reason is not None and drivable.admission.lock_reason is None:
+    def _follow_lock(self, device: Device) -> None:
+        """Lock or unlock the velocity topics of a device without a robot, as the robots that it may be are."""
+        if device.robot is not None or device.member is not None:
+            return
+        lock = device.lock
+        for drivable in device.drivables:
+            is_locked = drivable.admission.lock_reason is not None
+            if lock.lock_reason is not None and not is_locked:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
-                    self._gates.lock([drivable], reason, by=robot.admission.locked_by)
+                    self._gates.lock([drivable], lock.lock_reason, by=lock.locked_by)
+            elif lock.lock_reason is None and is_locked:
+                self._gates.unlock([drivable], by=lock.locked_by)
 
     def boards_of(self, device: Device) -> list[Device]:
         """Return all devices of the robot of this one; none while one of several is not connected."""
@@ -571,7 +590,7 @@ class Robots:
     ) -> None:
         touched = (*robot.parts, *parts)
         for device in self.devices.values():  # what has left reads nothing
-            if device in touched and device is not robot.connection:
+            if device in touched:
                 device.read_for(None)
         robot.parts, robot.feedback_links = parts, links
 
@@ -651,7 +670,13 @@ class Robots:
             self.forget(robot.name)
 
     def _note_lock(self, robot: LocalRobot) -> None:
-        """Update the retention of a robot after a lock or unlock: a locked one is not forgotten."""
+        """Update the retention of a robot after a lock or unlock, and the lock of what may be it.
+
+        A locked robot is not forgotten.
+        """
+        for device in list(self.devices.values()):
+            if device in robot.candidates:
+                self._follow_lock(device)
         if robot.gate.lock_reason is not None:
             self._away.remove(robot.name)
         else:
@@ -673,6 +698,14 @@ class Robots:
                 async with asyncio.timeout_at(None if math.isinf(forgets_at_s) else forgets_at_s):
                     await self._wake.wait()
             self._forget_some()
+
+    async def repeat_zeros(self) -> None:
+        """Send zeros again to what is locked and has no gate, until cancelled: the first one may be lost."""
+        while True:
+            await asyncio.sleep(LOCKED_ZERO_INTERVAL_S)
+            for device in list(self.devices.values()):
+                if device.unguarded and device.lock.lock_reason is not None:
+                    device.stop_unguarded()
 
     def _make(
         self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, commands: CommandType, feedback: Feedback

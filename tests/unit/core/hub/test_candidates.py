@@ -8,8 +8,8 @@ import pytest
 from hostlink.core.config import Config, RobotConfig, WheelsConfig
 from hostlink.core.hub.reloader import places_of
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
-from hostlink.core.robot.velocity import TWIST_TYPE
-from hostlink.errors import CommandRefused, ReloadRefused
+from hostlink.core.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.errors import CommandRefused, RefusalKind, ReloadRefused, UnknownTopic
 from tests.support.fake_device import robot_topics, topic
 from tests.support.memory_hub import SETTLED_S, MemoryHub, in_hub
 from tests.support.participants import publish
@@ -182,3 +182,148 @@ def test_reload_frees_no_board_from_the_lock_of_its_robot(*, is_robot_of_several
         made.hub.links.check(places_of(Config()))
 
     in_hub(test, config)
+
+
+def test_stop_of_all_stops_a_robot_when_another_board_takes_no_zero() -> None:
+    """A board that has begun anew refuses its topics until it announces them."""
+
+    async def test(made: MemoryHub) -> None:
+        robot, device = await made.connect(robot_topics("a")), await made.connect(motors("left_motor"), address=OTHER)
+
+        def refuse(*_: object, **__: object) -> None:
+            raise UnknownTopic("topic", "left_motor", [])
+
+        device.link.session.publish = refuse  # type: ignore[method-assign]
+        made.hub.join("driver").drive(made.robot("a"), PlanarVelocity(0.2))
+        await asyncio.sleep(0.2)
+        made.hub.robots.stop_all()
+        await asyncio.sleep(SETTLED_S)
+        assert robot.payloads(COMMAND)[-1] == bytes(48)
+        made.robot("a").lock("a foot")
+        made.hub.robots.lock_all("a foot")
+        await asyncio.sleep(2.0)  # repeated zeros are refused as well
+        assert made.hub.isolation.crashes == {}
+
+    in_hub(test)
+
+
+def test_neighbour_of_a_locked_robot_is_not_locked_when_it_reconnects() -> None:
+    async def test(made: MemoryHub) -> None:
+        locked, other = await made.connect(robot_topics("a")), await made.connect(robot_topics("b"))
+        made.robot("a").lock("a foot")
+        await locked.aclose()
+        await other.aclose()
+        await asyncio.sleep(1.0)
+        await made.connect(robot_topics("b"))
+        assert made.robot("b").gate.lock_reason is None
+
+    in_hub(test)
+
+
+def test_lock_holds_on_one_connection_for_another_robot_of_the_settings() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect(LOCKED)
+        (locked,) = made.hub.robots.here()
+        locked.lock("a foot")
+        device.infos = commanded("a/b/cmd_vel")
+        await device.announce()
+        await device.announce()
+        await asyncio.sleep(1.0)
+        (driven,) = [robot for robot in made.hub.robots.here() if robot.link is not None]
+        assert driven.gate.lock_reason in ("a foot", f"it may be {locked.name}: a foot")
+
+    in_hub(test, Config(robots={name: RobotConfig(address=HERE) for name in ("car1", "car2")}))
+
+
+def test_lock_holds_for_what_is_left_when_a_robot_loses_its_command_on_one_connection() -> None:
+    motor = topic(EndpointKind.SUBSCRIBER, LEFT, "/car/arm_motor_pwm", INT16)
+
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect([*commanded("/car/cmd_vel"), motor])
+        made.robot("car").lock("a foot")
+        device.infos = [motor]
+        await device.announce()
+        await device.announce()
+        await asyncio.sleep(1.0)
+        assert made.robot("car").link is None
+        assert is_refused(made, "/car/arm_motor_pwm")
+
+    in_hub(test)
+
+
+def test_lock_holds_for_a_board_whose_settings_are_refused() -> None:
+    """A number of 8 bits without a sign takes no velocity back."""
+    infos = [
+        topic(EndpointKind.SUBSCRIBER, LEFT + at, f"{side}_motor", "std_msgs/UInt8") for at, side in enumerate("lr")
+    ]
+
+    async def test(made: MemoryHub) -> None:
+        await made.connect(infos)
+        assert made.hub.robots.here() == []
+        made.hub.robots.find_to_stop("car").lock("a foot")
+        with pytest.raises(CommandRefused, match="locked: a foot"):
+            publish(made.hub, "/l_motor", b"\1", type_name="std_msgs/UInt8")
+
+    in_hub(test, car("l_motor", "r_motor"))
+
+
+def test_unlock_of_one_robot_leaves_the_lock_of_another_that_a_board_may_be() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect(motors("left_motor"))
+        car, arm = (made.hub.robots.find_to_stop(name) for name in ("car", "arm"))
+        car.lock("a foot")
+        arm.lock("a hand")
+        arm.unlock()
+        assert is_refused(made, "/left_motor")
+        made.hub.robots.lock_all("smoke")
+        car.unlock()
+        with pytest.raises(CommandRefused, match="locked: smoke"):
+            publish(made.hub, "/left_motor", NUMBER, type_name=INT16)
+
+    in_hub(test, Config(robots={name: RobotConfig(address=HERE) for name in ("car", "arm")}))
+
+
+def test_reload_that_places_a_robot_where_a_board_is_lets_its_lock_hold() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect(motors("left_motor"))
+        made.hub.robots.find_to_stop("car").lock("a foot")
+        assert not is_refused(made, "/left_motor")
+        config = Config(robots={"car": RobotConfig(address=HERE)})
+        made.hub.reconfigure(config, places_of(config))
+        assert is_refused(made, "/left_motor")
+
+    in_hub(test, Config(robots={"car": RobotConfig()}))
+
+
+def test_gate_of_a_spatial_drive_follows_the_locks_of_the_robots_that_it_may_be() -> None:
+    spatial = RobotConfig(address=HERE, command_topic="/thrusters", kinematics="spatial")
+
+    async def test(made: MemoryHub) -> None:
+        await made.connect(commanded("/thrusters"))
+        drone, base = (made.hub.robots.find_to_stop(name) for name in ("drone", "base"))
+
+        def is_open() -> bool:
+            try:
+                publish(made.hub, "/thrusters", {"linear": {"x": 0.1}}, type_name=TWIST_TYPE)
+            except CommandRefused as refused:
+                return refused.kind is not RefusalKind.LOCKED
+            return True
+
+        assert is_open()
+        drone.lock("a foot")
+        base.lock("a hand")
+        base.unlock()
+        assert not is_open()
+        made.hub.robots.lock_all("smoke")
+        made.hub.robots.unlock_all()
+        assert is_open()
+        drone.lock("a foot")
+        made.hub.robots.lock_all("smoke")
+        base.unlock()
+        assert not is_open()
+        drone.unlock()
+        assert not is_open()  # all boards are locked
+        made.hub.robots.unlock_all()
+        assert is_open()
+
+    in_hub(test, Config(robots={"drone": spatial, "base": RobotConfig(address=HERE)}))

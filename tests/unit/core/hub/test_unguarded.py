@@ -244,3 +244,19 @@ def test_latched_message_is_not_sent_again_where_it_may_move_something(
         assert (NUMBER in device.payloads(LEFT), NUMBER in again.payloads(LEFT)) == (is_sent, is_sent)
 
     in_hub(test, config)
+
+
+def test_zero_is_repeated_under_a_lock_and_not_after_it() -> None:
+    """A datagram with the first one may be lost."""
+
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect(board())
+        made.hub.robots.lock_all("a foot")
+        await asyncio.sleep(2.2)
+        assert device.payloads(LEFT) == 5 * [ZERO]  # at once, and every 0.5 s
+        made.hub.robots.unlock_all()
+        await asyncio.sleep(2.2)
+        await send(made, "/left_motor", "std_msgs/Int16", NUMBER)
+        assert device.payloads(LEFT) == [*(5 * [ZERO]), NUMBER]
+
+    in_hub(test)
