@@ -363,6 +363,7 @@ def link(name: str, **changes: Any) -> dict[str, Any]:
                 "malformed",
                 "excess_topics",
                 "negotiations",
+                "lost_messages",
                 "topic_requests",
                 "replaced",
                 "frames_from_device",

@@ -485,7 +485,19 @@ class World:
 
 
 OWN_TASKS = frozenset(
-    {"daemon", "hub", "programs", "diagnoses", "known robots", "diagnostics", "bytes of devices", "log", "end", "world"}
+    {
+        "daemon",
+        "hub",
+        "programs",
+        "diagnoses",
+        "known robots",
+        "zeros under a lock",
+        "diagnostics",
+        "bytes of devices",
+        "log",
+        "end",
+        "world",
+    }
 )
 
 

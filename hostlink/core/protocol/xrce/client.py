@@ -166,7 +166,8 @@ class XrceClient:
         self.flying_mark = 0
         self.behind_s = SLOW_S  # pause between two velocities to a board that is silent
         self.is_confirmed = True  # after a restart of the host: it is the client that the state tells of
-        self.is_over = False  # it was removed, and nothing of it counts
+        self.is_over = False  # it was removed or is about to be, and nothing of it counts
+        self.leaves_s = float("inf")  # time at which it is removed: it takes its last zeros before
         self.unfit: set[int] = set()  # objects whose messages are not of their type
         self.put_s = float("-inf")  # last reliable message to it
         self._stored_sent = 0

@@ -29,29 +29,34 @@ def sent_step(number: int) -> int:
 class Evidence:
     """Numbers and messages of a resumed client, weighed against the stored state."""
 
-    __slots__ = ("_has_told", "_late_messages", "_messages", "_settling_s", "doubted_until_s", "settled_s", "stored")
+    __slots__ = (
+        "_has_told", "_is_sure", "_late_messages", "_messages", "_publishes", "doubted_until_s", "settled_s", "stored",
+    )  # fmt: skip
 
     def __init__(self, stored: ClientState, *, publishes: bool) -> None:
         """`publishes`: its messages may be expected."""
-        self.stored = stored
-        self._settling_s = SETTLING_S if publishes else LISTENER_SETTLING_S
-        self.settled_s = float("inf")  # an acknowledgement that fits is enough from then on
+        self.stored, self._publishes = stored, publishes
+        self.settled_s = float("inf")  # an acknowledgement that fits is enough from then on, or never is
         self.doubted_until_s = float("inf")
         self._has_told = False  # its number is one that the host can have reached
+        self._is_sure = False  # the host had reached it for sure
         self._messages = self._late_messages = 0  # that fit the state
 
     def fits_acknack(self, first: int, now_s: float) -> bool:
         """Note the number that the client expects. Return whether the host can have sent all before it.
 
         A number that the host had surely reached when the state was stored is better: it needs no message with it.
+        With another number a client that never publishes shows nothing more, and is given up.
         """
         stored = self.stored
         passed, sent = distance(stored.number, first), distance(stored.number, stored.sent)
         if not 0 <= passed <= sent + sent_step(stored.sent) + UNSTORED_SENT:
             return False
-        self._has_told = True
-        if passed <= sent:
-            self.settled_s = now_s + self._settling_s
+        self._has_told, self._is_sure = True, passed <= sent
+        if self._is_sure:
+            self.settled_s = now_s + (SETTLING_S if self._publishes else LISTENER_SETTLING_S)
+        elif not self._publishes:
+            self.settled_s = now_s + DOUBT_S
         return True
 
     def fits_input(self, stream: int, number: int) -> bool:
@@ -66,5 +71,5 @@ class Evidence:
     def is_enough(self, now_s: float) -> bool:
         """Whether the client is the one of the state. One that has acknowledged messages will do so again."""
         if self._has_told:
-            return self._messages > 0 or now_s >= self.settled_s
+            return self._messages > 0 or (self._is_sure and now_s >= self.settled_s)
         return self.stored.number == 0 and self._late_messages >= MESSAGES

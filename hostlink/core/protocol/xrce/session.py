@@ -78,6 +78,7 @@ MTU_MIN: Final = 32  # less has no room for an answer
 QUIET_S: Final = 0.1  # a board creates its objects one after another, each within a round trip
 RESTART_SILENCE_S: Final = 1.0  # another client with this session id or key is the same board after a restart
 GONE_S: Final = 3.0
+LEAVING_S: Final = 1.0  # a client that is refuted takes its last zeros until then
 KEEPALIVE_S: Final = 1.0  # after this silence a HEARTBEAT asks whether the board is alive
 KEPT_BYTES: Final = 1024  # of bytes that are in no message
 LATE_CREATION_S: Final = 2.0  # a CREATE_CLIENT of the session before is a late datagram until then
@@ -227,8 +228,14 @@ class XrceSession(DeviceSession):
             else:
                 self._announce(found)
         for client in list(self._clients.values()):
+            if now_s >= client.leaves_s:
+                self._remove(client)
+                continue
             if now_s >= client.settled_s:
                 self._judge(client, found)
+                if not client.is_confirmed:  # it only listens, and its number tells nothing for sure
+                    self._refute(client)
+                    continue
             if now_s >= client.heartbeat_s:
                 self._put(client.due_heartbeat(now_s))
             elif now_s >= client.silent_at_s(KEEPALIVE_S):
@@ -252,7 +259,7 @@ class XrceSession(DeviceSession):
         deadline_s = self._announce_s
         for client in self._clients.values():
             deadline_s = min(deadline_s, client.heartbeat_s, client.ack_s, client.repair_s)
-            deadline_s = min(deadline_s, client.settled_s, client.silent_at_s(KEEPALIVE_S))
+            deadline_s = min(deadline_s, client.settled_s, client.leaves_s, client.silent_at_s(KEEPALIVE_S))
             if client.samples:
                 deadline_s = min(deadline_s, self._sample_due_s(client))
             if client.held:
@@ -265,7 +272,7 @@ class XrceSession(DeviceSession):
     def is_steady(self) -> bool:
         """Whether only a long silence is waited for."""
         return self._announce_s == math.inf and not any(
-            min(each.heartbeat_s, each.ack_s, each.repair_s, each.settled_s) < math.inf
+            min(each.heartbeat_s, each.ack_s, each.repair_s, each.settled_s, each.leaves_s) < math.inf
             or each.samples
             or each.held
             or each.zeros
@@ -709,6 +716,8 @@ class XrceSession(DeviceSession):
             self.counts.unknown_ids += 1
             self.quality.unknown += 1
             return
+        if client.is_over:
+            return
         if client.is_reset_due:
             self._settle_reset(client, message, now_s)
         if stream < RELIABLE:
@@ -863,6 +872,9 @@ class XrceSession(DeviceSession):
             status = Status.INVALID_DATA
         else:
             known = self._clients.get((info.session, _id_key(info)))
+            if known is not None and known.is_over:
+                self._remove(known)
+                known = None
             if known is not None and known.info.key == info.key:
                 self._create_again(known, info)
             elif self._is_late(info):
@@ -1113,7 +1125,7 @@ class XrceSession(DeviceSession):
 
     def _endpoints(self) -> Iterable[DeviceEndpoint]:
         for client in self._clients.values():
-            if client.is_confirmed:
+            if client.is_confirmed and not client.is_over:
                 client.is_announced = True
                 for each in client.objects.endpoints():
                     name, type_ = client.objects.name_and_type(each)
@@ -1280,7 +1292,8 @@ class XrceSession(DeviceSession):
 
         It has also what is resumed, and waits for its board.
         """
-        kept = (each for each in self._clients.values() if each.is_confirmed or each.is_resumed)
+        clients = (each for each in self._clients.values() if not each.is_over)
+        kept = (each for each in clients if each.is_confirmed or each.is_resumed)
         return SessionState(tuple(each.stored() for each in kept))
 
     def _resume(self, state: SessionState) -> None:
@@ -1339,12 +1352,16 @@ class XrceSession(DeviceSession):
         self._announce(found)
 
     def _refute(self, client: XrceClient) -> None:
-        """Drop a resumed client: another board is at its address, or it has begun anew."""
+        """Drop a resumed client: another board is at its address, or it has begun anew.
+
+        One that was driven is sent its last zeros, and removed afterwards.
+        """
+        client.is_over = True
         if client.is_confirmed:
             self.quality.resumed -= 1
-            self._remove(client)
+            self._is_restarted = True
+            self._announce_s, client.leaves_s = self._now_s, self._now_s + LEAVING_S
         else:
-            client.is_over = True
             del self._clients[client.session, client.id_key]
         self.quality.unknown += 1
         self.quality.refuted += 1

@@ -1705,6 +1705,49 @@ def test_other_board_that_was_silent_is_unknown_with_its_first_message(id_: int,
         assert here.session.quality.resumed == 0
 
 
+def test_other_board_that_was_driven_takes_zeros_when_its_message_does_not_fit() -> None:
+    here = other_board(0, program=writing(0x35, WORDS, after_s=3.0))
+    here.run(here.now_s + 2.5)
+    assert driven(here)
+    (endpoint,) = [each for each in here.session.topics if each.name == "/cmd_vel"]
+    here.run(here.now_s + 0.9)
+    assert here.session.topics == ()
+    assert here.session.send_zero(endpoint, bytes(48))
+    here.write()
+    here.run(here.now_s + 0.1)
+    assert taken(here, READER)[-1] == bytes(48)
+    here.run(here.now_s + 2.0)
+    assert here.session._clients == {}
+    assert not here.session.send_zero(endpoint, bytes(48))
+
+
+def test_other_board_that_leaves_may_create_its_client_at_once() -> None:
+    here = other_board(0, program=writing(0x35, WORDS, after_s=3.0))
+    here.run(here.now_s + 3.4)
+    assert here.session.topics == ()
+    anew = Client(key=b"anew")
+    here.restart_board(anew, silent(anew))
+    assert here.do(anew.connect())
+    here.run(here.now_s + 2.0)
+    (client,) = here.session._clients.values()
+    assert client.info.key == b"anew"
+
+
+@pytest.mark.parametrize(("ahead", "is_resumed"), [(0, True), (30, False)])
+def test_board_that_only_listens_continues_with_a_stored_number_alone(ahead: int, *, is_resumed: bool) -> None:
+    """With a later one it is given up, so that doctor says `session_unknown`, and code that asks connects again."""
+    here = connected()
+    (stored,) = here.session.state().clients
+    listening = tuple(each for each in stored.objects if each[1] & 15 not in (5, 7, 8))  # kinds that publish
+    here.client.last_handled = here.client.last_announced = (stored.sent + ahead - 1) % 65536
+    restarted(here, SessionState((stored._replace(objects=listening),)))
+    here.run(here.now_s + 2.0)
+    assert driven(here) is is_resumed
+    here.run(here.now_s + 10.0)
+    assert here.session.quality.refuted == (not is_resumed)
+    assert bool(here.session._clients) is is_resumed
+
+
 def test_board_whose_number_the_host_may_have_reached_continues_with_its_first_message() -> None:
     here = other_board(30)
     here.run(here.now_s + 3.0)
