@@ -611,7 +611,7 @@ class Links:
 
     def _regroup(self, names: Iterable[str]) -> list[LocalRobot]:
         """Find the parts of robots of several devices anew. Return these robots."""
-        names = set(names)
+        names = sorted(set(names))
         found = [self._robots.regroup(name) for name in names]
         for device in self._devices.values() if names else ():
             member = device.member

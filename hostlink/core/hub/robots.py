@@ -6,14 +6,14 @@ import dataclasses
 import itertools
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 
 import structlog
 
 from hostlink.core.config import Config, RobotConfig
 from hostlink.core.hub.any_robot import AnyRobot, shown_reason
 from hostlink.core.hub.device import Device
-from hostlink.core.hub.gates import Drivable, Gates
+from hostlink.core.hub.gates import Connection, Drivable, Gates
 from hostlink.core.hub.remote_robot import RemoteRobot
 from hostlink.core.hub.robot import LocalRobot
 from hostlink.core.hub.robot_settings import (
@@ -552,12 +552,14 @@ class Robots:
         """Let the stop and the lock of a robot that is away hold for the devices that may be it."""
         links = (link for link, names in self._may_be.items() if robot.name in names and robot.connection is None)
         before, robot.candidates = robot.candidates, tuple(self.devices[link] for link in links)
-        touched = (*before, *robot.candidates)
-        for device in list(self.devices.values()):  # what has left follows no lock
-            if device in touched:
-                self._follow_lock(device)
-                if device not in before and device.lock.lock_reason is not None:
-                    device.stop_unguarded()
+        for device in self._connected(dict.fromkeys((*before, *robot.candidates))):
+            self._follow_lock(device)
+            if device not in before and device.lock.lock_reason is not None:
+                device.stop_unguarded()
+
+    def _connected(self, connections: Collection[Connection]) -> list[Device]:
+        """Return those devices of these connections that have not left."""
+        return [self.devices[each.link.number] for each in connections if each.link.number in self.devices]
 
     def _follow_lock(self, device: Device) -> None:
         """Lock or unlock the velocity topics of a device without a robot, as the robots that it may be are."""
@@ -674,9 +676,8 @@ class Robots:
 
         A locked robot is not forgotten.
         """
-        for device in list(self.devices.values()):
-            if device in robot.candidates:
-                self._follow_lock(device)
+        for device in self._connected(robot.candidates):
+            self._follow_lock(device)
         if robot.gate.lock_reason is not None:
             self._away.remove(robot.name)
         else:
