@@ -37,7 +37,17 @@ SETTLED = "() => new Promise((done) => requestAnimationFrame(() => requestAnimat
 LONG = "a robot of the third bench by the window_0"
 NOTICED_S = 0.5  # a robot that falls silent is shown as such within this time
 MOST_BYTES = 400_000
-INTERACTIVE_MS, SLOWED_TIMES = 1000, 4  # on a processor that is so many times slower
+SLOWED_TIMES = 4  # the processor is so many times slower
+#: The page is ready within so many times what YARDSTICK takes in it: 1.8 to 4.1 of ten times beside other tests.
+READY_TIMES = 6
+YARDSTICK = """() => {
+  const began_ms = performance.now(), found = new Map();
+  for (let number = 0; number < 300000; number++) {
+    const key = `k${number % 977}`;
+    found.set(key, (found.get(key) ?? 0) + number);
+  }
+  return performance.now() - began_ms;
+}"""
 
 
 def names(count: int) -> list[str]:
@@ -707,10 +717,11 @@ async def test_page_is_small_and_soon_ready_on_a_slow_processor(browser: Browser
         slow = await tab.page.context.new_cdp_session(tab.page)
         await slow.send("Emulation.setCPUThrottlingRate", {"rate": SLOWED_TIMES})
 
-        async def ready_ms() -> float:
+        async def ready_times() -> float:
             await tab.page.goto(server.url)
             await tab.shows("#drive-state", "no driver")
-            ready: float = await tab.page.evaluate("performance.getEntriesByName('hostlink.ready')[0].startTime")
-            return ready
+            ready_ms: float = await tab.page.evaluate("performance.getEntriesByName('hostlink.ready')[0].startTime")
+            yardstick_ms: float = await tab.page.evaluate(YARDSTICK)
+            return ready_ms / yardstick_ms
 
-        assert await is_soon(ready_ms, INTERACTIVE_MS)
+        assert await is_soon(ready_times, READY_TIMES)
