@@ -295,19 +295,18 @@ class Links:
             if robot.gate.lock_reason is not None:
                 raise ReloadRefused(f"{name} is locked: unlock it before its name changes")
         for device in self._devices.values():
-            for name in sorted(self._held(device) - self._held(device, places)):
+            for name in sorted(self._freed(device, places)):
                 robot = self._robots.get_here(name)
                 if robot is not None and robot.gate.lock_reason is not None:
                     raise ReloadRefused(f"{name} is locked: unlock it before {device.link.peer} leaves it")
 
-    def _held(self, device: Device, places: Places | None = None) -> set[str]:
-        """Return the robots whose lock holds for a device by the settings, or would by these places."""
-        member, placed = device.member, self._directory.placed(_origin(device.link))
-        if places is None:
-            away = {name for name in self._robots.may_be(device) & set(placed) if self._robots.is_free(name)}
-            return {*(() if member is None else (member.robot,)), *away}
-        kept = set() if member is None or not places.keeps(member.robot, member, is_connected=True) else {member.robot}
-        return kept | set(places.nearest(_origin(device.link)))
+    def _freed(self, device: Device, places: Places) -> set[str]:
+        """Return the robots whose lock holds for a device by the settings, and would no longer hold by these places."""
+        member, origin, may_be = device.member, _origin(device.link), self._robots.may_be(device)
+        here = {name for name in self._directory.placed(origin) if name in may_be and self._robots.is_free(name)}
+        if member is not None and not places.keeps(member.robot, member, is_connected=True):
+            here.add(member.robot)
+        return here.difference(places.nearest(origin))
 
     def reconfigure(self, places: Places, settings: Mapping[str, CommandSettings]) -> dict[str, str]:
         """Replace the configured addresses and commands of robots.
@@ -326,7 +325,7 @@ class Links:
         joined = set[str]()
         for device in self._devices.values():  # what the settings place where a device is may be another robot now
             if device.robot is None and not device.is_undecided and device.infos:
-                joined |= self._note_candidate(device, Accepted(None, None, member=device.member))
+                joined |= self._note_candidate(device)
         self._regroup(joined)
         found = {name: self._devices[link].robot for name, link in links.items()}
         return {name: robot.name for name, robot in found.items() if robot is not None}
@@ -420,11 +419,13 @@ class Links:
         touched, before = device.names, device.robot
         changed = [] if before is None else [before]
         robot = None if claim.robot is None else self._accept_robot(device, claim, claim.robot)
-        joined |= self._note_candidate(device, None if robot is not None else claim)
         if robot is None:
+            named = () if claim.robot is None else (claim.robot.name,)  # its command does not fit
+            joined |= self._note_candidate(device, *named)
             self._robots.vanish(device)
             device.announce(device.infos, ShownNames())
         else:
+            joined |= self._robots.forget_candidate(device)
             changed.append(robot)
         device.is_undecided = False
         joined |= {each.name for each in changed if self._robots.has_candidate(each.name)}
@@ -440,11 +441,13 @@ class Links:
         for message, read in device.early.pop_all():
             device.receive(message, read)
 
-    def _note_candidate(self, device: Device, claim: Accepted | None) -> set[str]:
-        """Note which robots a device without one may be. `claim` is None if it has one. Return the robots' names."""
-        if claim is None or claim.member is not None or device.diagnosis.is_played:
+    def _note_candidate(self, device: Device, *named: str) -> set[str]:
+        """Note which robots a device without one may be: those that are named, and those that are placed where it is.
+
+        Return the robots whose candidates change. Neither a part of a robot nor a recording is a candidate.
+        """
+        if device.member is not None or device.diagnosis.is_played:
             return self._robots.forget_candidate(device)
-        named = [] if claim.robot is None else [claim.robot.name]  # its command does not fit
         return self._robots.note_candidate(device, [*named, *self._directory.placed(_origin(device.link))])
 
     def _misfit(self, device: Device, claim: Accepted) -> str:
@@ -483,8 +486,9 @@ class Links:
         if before is not robot and robot.gate.lock_reason is None:
             other = None if claim.is_certain else robots.locked_likewise(robot)
             other = other or self._locked_before(device, robot, claim)
-            is_placed = bool(self._directory.placed(_origin(device.link)))
-            other = other or robots.locked_before(device, robot, is_new=None if is_placed else is_new)
+            other = other or robots.locked_on(device.link)
+            if other is None and not self._directory.placed(_origin(device.link)):  # else the settings tell them apart
+                other = robots.locked_at(device.link.address, robot, is_new=is_new)
             if other is not None:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
                     reason = f"it may be {other.name}: {other.gate.lock_reason}"
@@ -601,8 +605,10 @@ class Links:
         device.leave()
         member, device.member = device.member, None
         joined = self._robots.forget_candidate(device)
-        joined |= set() if member is None else {member.robot}
-        joined |= {robot.name} if robot is not None and self._robots.has_candidate(robot.name) else set()
+        if member is not None:
+            joined.add(member.robot)
+        if robot is not None and self._robots.has_candidate(robot.name):
+            joined.add(robot.name)
         changed = self._regroup(joined)
         if robot is not None and robot not in changed:
             changed.append(robot)

@@ -115,8 +115,13 @@ class LocalRobot(Drivable, AnyRobot):
         return self.refusals.cause or self.admission.missing or self.no_stop or None
 
     @property
+    def is_away_and_locked(self) -> bool:
+        """Whether it is locked and its device is not connected, so that its lock holds for what may be it."""
+        return self.connection is None and self.gate.lock_reason is not None
+
+    @property
     def _why_no_candidate(self) -> str:
-        """Return why no device that may be it is the robot; empty: there is none."""
+        """Return what the devices that may be this robot lack; empty if there are no such devices."""
         peers = " and ".join(each.link.peer for each in self.candidates)
         return peers and f"{peers}, which may be its device, takes no velocity of it"
 

@@ -263,9 +263,8 @@ class Robots:
     def lock_of(self, device: Device) -> Admission:
         """Return the admission whose lock holds for a device without a robot: of one that it may be, or of all."""
         names = self._may_be.get(device.link.number, ())
-        found = (self._robots[name] for name in sorted(names) if name in self._robots)
-        away = (robot.admission for robot in found if robot.connection is None)
-        return next((each for each in away if each.lock_reason is not None), self.boards)
+        known = (self._robots[name] for name in sorted(names) if name in self._robots)
+        return next((robot.admission for robot in known if robot.is_away_and_locked), self.boards)
 
     def may_be(self, device: Device) -> frozenset[str]:
         """Return the robots that a device without one may be."""
@@ -298,24 +297,23 @@ class Robots:
         """Note that a device is a robot, or has left. Return the names of the robots that it could have been."""
         return set(self._may_be.pop(device.link.number, ()))
 
-    def locked_before(self, device: Device, robot: LocalRobot, *, is_new: bool | None) -> LocalRobot | None:
-        """Return a locked robot that is away and that this one may be, by its device; None if there is none.
+    def locked_on(self, link: Link) -> LocalRobot | None:
+        """Return the locked robot that the device of this link was until now; None if there is none."""
+        robots = self._robots.values()
+        return next((each for each in robots if each.last_link == link.number and each.is_away_and_locked), None)
 
-        It had the same link. Or it had the same address, and the same command with another name; for one that `is_new`
-        there also if it has no neighbour that is not locked and away. None: the settings tell the robots there apart.
+    def locked_at(self, address: str, robot: LocalRobot, *, is_new: bool) -> LocalRobot | None:
+        """Return a locked robot that is away and may be this one, because it had its address; None if there is none.
+
+        It has the same command and another name. `is_new`: this robot has not been at its address before, so that it
+        may be any of the others if all of them are locked and away.
         """
-        link = device.link
-        there = [each for each in self._robots.values() if each.last_address == link.address and each is not robot]
-        locked = [each for each in there if each.connection is None and each.gate.lock_reason is not None]
-
-        def is_same(other: LocalRobot) -> bool:
-            if other.last_link == link.number or is_new is None:
-                return other.last_link == link.number
-            is_renamed = other.topics.name != robot.topics.name
-            has_command = not set(other.topics.commands).isdisjoint(robot.topics.commands)
-            return (is_renamed and has_command) or (is_new and locked == there)
-
-        return next(filter(is_same, locked), None)
+        there = [each for each in self._robots.values() if each.last_address == address and each is not robot]
+        locked = [each for each in there if each.is_away_and_locked]
+        if is_new and locked and locked == there:
+            return locked[0]
+        renamed = (each for each in locked if each.topics.name != robot.topics.name)
+        return next((each for each in renamed if set(each.topics.commands) & set(robot.topics.commands)), None)
 
     def locked_likewise(self, robot: LocalRobot) -> LocalRobot | None:
         """Return a locked robot that may be this one, reconnected under another name; None if there is none."""
@@ -541,11 +539,7 @@ class Robots:
             log.info("robot.complete", robot=name)
         self._read_parts(robot, parts, members)
         self._note_candidates(robot)
-        for drivable in robot.beside:
-            reason = robot.gate.lock_reason
-            if reason is not None and drivable.admission.lock_reason is None:
-                with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
-                    self._gates.lock([drivable], reason, by=robot.admission.locked_by)
+        self._lock_as(robot.admission, robot.beside)
         return robot
 
     def _note_candidates(self, robot: LocalRobot) -> None:
@@ -565,14 +559,16 @@ class Robots:
         """Lock or unlock the velocity topics of a device without a robot, as the robots that it may be are."""
         if device.robot is not None or device.member is not None:
             return
-        lock = device.lock
-        for drivable in device.drivables:
-            is_locked = drivable.admission.lock_reason is not None
-            if lock.lock_reason is not None and not is_locked:
+        self._lock_as(device.lock, device.drivables)
+        if device.lock.lock_reason is None:
+            self._gates.unlock(each for each in device.drivables if each.admission.lock_reason is not None)
+
+    def _lock_as(self, lock: Admission, drivables: Iterable[Drivable]) -> None:
+        """Lock velocity topics that are not locked yet, if this lock is in force."""
+        for drivable in drivables:
+            if lock.lock_reason is not None and drivable.admission.lock_reason is None:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
                     self._gates.lock([drivable], lock.lock_reason, by=lock.locked_by)
-            elif lock.lock_reason is None and is_locked:
-                self._gates.unlock([drivable], by=lock.locked_by)
 
     def boards_of(self, device: Device) -> list[Device]:
         """Return all devices of the robot of this one; none while one of several is not connected."""
