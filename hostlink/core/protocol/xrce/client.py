@@ -258,6 +258,11 @@ class XrceClient:
         """Time at which silence is evidence enough; infinite if it is not waited for."""
         return float("inf") if self.is_confirmed or self.evidence is None else self.evidence.settled_s
 
+    @property
+    def planned_s(self) -> float:
+        """Time at which something of it is due; infinite if only its silence is waited for."""
+        return min(self.heartbeat_s, self.ack_s, self.repair_s, self.leaves_s, self.settled_s)
+
     def begin(self, now_s: float) -> None:
         """Begin a new connection. A client whose number is unknown is asked for it."""
         self.heard_s = self.created_s = now_s

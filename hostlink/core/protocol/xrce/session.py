@@ -258,8 +258,7 @@ class XrceSession(DeviceSession):
         """Time at which `tick` must be called if no byte arrives before."""
         deadline_s = self._announce_s
         for client in self._clients.values():
-            deadline_s = min(deadline_s, client.heartbeat_s, client.ack_s, client.repair_s)
-            deadline_s = min(deadline_s, client.settled_s, client.leaves_s, client.silent_at_s(KEEPALIVE_S))
+            deadline_s = min(deadline_s, client.planned_s, client.silent_at_s(KEEPALIVE_S))
             if client.samples:
                 deadline_s = min(deadline_s, self._sample_due_s(client))
             if client.held:
@@ -272,11 +271,7 @@ class XrceSession(DeviceSession):
     def is_steady(self) -> bool:
         """Whether only a long silence is waited for."""
         return self._announce_s == math.inf and not any(
-            min(each.heartbeat_s, each.ack_s, each.repair_s, each.settled_s, each.leaves_s) < math.inf
-            or each.samples
-            or each.held
-            or each.zeros
-            for each in self._clients.values()
+            each.planned_s < math.inf or each.samples or each.held or each.zeros for each in self._clients.values()
         )
 
     @property
