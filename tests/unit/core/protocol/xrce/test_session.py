@@ -533,6 +533,67 @@ def test_published_message_completes_the_announcement() -> None:
     assert [type(event) for _, event in here.found] == [events.TopicsNegotiated, events.MessageReceived]
 
 
+INT32, STAMPED = "std_msgs::msg::dds_::Int32_", "geometry_msgs::msg::dds_::TwistStamped_"
+CHATTER, CMD_VEL, VELOCITY_SUBSCRIBER = 0x02, 0x12, 0x04
+
+
+def changed(here: World, id_: int, topic: int, name: str, type_: str, *, is_deleted: bool, with_endpoint: bool) -> None:
+    """Give a topic another type, as the stock library does with its flags; or delete all first."""
+    group = NODE_PUBLISHER if id_ & 0xF == WRITER else VELOCITY_SUBSCRIBER
+    if is_deleted:
+        for each in (id_, topic):
+            assert here.do(here.client.delete(each)) == 0
+    assert here.do(here.client.create(topic, board.topic(name, type_), 1)) == 0
+    if with_endpoint or is_deleted:
+        assert here.do(here.client.create(id_, board.endpoint(topic, is_reader=id_ & 0xF == READER), group)) in {0, 1}
+
+
+CHANGES = pytest.mark.parametrize(("is_deleted", "with_endpoint"), [(True, True), (False, True), (False, False)])
+
+
+@CHANGES
+def test_topic_of_a_writer_that_changes_its_type_is_announced_anew(*, is_deleted: bool, with_endpoint: bool) -> None:
+    here = connected()
+    here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "a"})))
+    changed(here, WRITER, CHATTER, "rt/chatter", INT32, is_deleted=is_deleted, with_endpoint=with_endpoint)
+    here.do(here.client.publish(WRITER, struct.pack("<i", 7)))
+    here.run(here.now_s + 2 * QUIET_S)
+    first, second = of_kind(here, events.TopicsNegotiated)
+    assert second.is_changed  # type: ignore[attr-defined]
+    types = [[each.type for each in one.topics if each.name == "/chatter"] for one in (first, second)]  # type: ignore[attr-defined]
+    assert types == [["std_msgs/String"], ["std_msgs/Int32"]]
+    received = [(each.topic.type, each.payload) for each in of_kind(here, events.MessageReceived)]  # type: ignore[attr-defined]
+    assert received == [("std_msgs/String", b"\1\0\0\0a"), ("std_msgs/Int32", struct.pack("<i", 7))]
+
+
+@CHANGES
+def test_reader_that_changes_its_type_gets_nothing_of_the_type_before(*, is_deleted: bool, with_endpoint: bool) -> None:
+    """A TwistStamped that is read as a Twist would be a velocity of any size."""
+    here = connected()
+    velocity = here.session.endpoint_of("/cmd_vel", ZERO)
+    assert here.session.send_zero(velocity, ZERO)
+    here.session.publish("/cmd_vel", ZERO)
+    assert here.session.outbox.has_urgent
+    changed(here, READER, CMD_VEL, "rt/cmd_vel", STAMPED, is_deleted=is_deleted, with_endpoint=with_endpoint)
+    here.client.read_data(READER)
+    here.do(here.client.confirm(0.05))
+    before = len(taken(here, READER))
+    assert not here.session.outbox.has_urgent
+    assert not here.session.has(velocity)
+    assert not here.session.may_have(velocity)
+    assert not here.session.send_zero(velocity, ZERO)
+    with pytest.raises(UnknownTopic, match="created it again with another name or type, which is announced within a"):
+        here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.run(here.now_s + 2 * QUIET_S)
+    now = next(each for each in here.session.topics if each.name == "/cmd_vel")
+    assert (now.type, here.session.has(now)) == ("geometry_msgs/TwistStamped", True)
+    assert not here.session.may_have(velocity)
+    here.run(here.now_s + 1.0)
+    assert len(taken(here, READER)) == before  # no zero is repeated
+    with pytest.raises(WrongType):
+        here.session.publish("/cmd_vel", VELOCITY[:-1], is_urgent=True)
+
+
 # -- messages ---------------------------------------------------------------------------------------------------------
 
 
