@@ -2,8 +2,12 @@
 
 import asyncio
 import struct
+from pathlib import Path
+
+from mcap.reader import make_reader
 
 from hostlink.client import connect
+from hostlink.components.recorder.settings import RecordingConfig
 from tests.integration.test_micro_ros import CONFIG, address_of
 from tests.support.daemon import Daemon, daemon
 from tests.support.waiting import TIMEOUT_S, expect
@@ -35,3 +39,50 @@ async def test_program_gets_fields_of_the_new_type_after_a_board_has_changed_it(
             program.publish(struct.pack("<i", 7))
             assert await anext(messages) == {"data": 7}
         assert host.hub.topics.find("/talk").type_name == "std_msgs/Int32"
+
+
+async def test_message_of_an_unknown_type_is_cdr_in_the_graph_to_programs_and_to_another_board() -> None:
+    sender, taker = talker(), Talker(Client(key=b"\5\6\7\x08"), ("rt/answer", OWN), ("rt/talk", OWN))
+    async with (
+        daemon(CONFIG) as host,
+        udp_board(address_of(host, "udp"), sender),
+        udp_board(address_of(host, "udp"), taker),
+        connect(host.url) as me,
+        asyncio.timeout(TIMEOUT_S),
+    ):
+        await announced(host, "my_msgs/Own")
+        await expect(lambda: host.hub.topics.find("/talk").devices)
+        async for graph in await me.watch_graph():
+            found = {each["name"]: each["encoding"] for each in graph["topics"]}
+            if found.keys() >= {"/talk", "/listen", "/answer"}:
+                break
+        assert [found[each] for each in ("/talk", "/listen", "/answer")] == ["cdr"] * 3
+        async with me.subscribe_raw("/talk") as messages:
+            sender.publish(b"seven\0\0\0")
+            message = await anext(messages)
+        assert (message.payload, message.encoding) == (b"\0\1\0\0seven\0\0\0", "cdr")
+        await expect(lambda: taker.taken)
+        assert taker.taken == [b"seven\0\0\0"]
+
+
+def recorded(folder: Path) -> tuple[str, str, str, bytes, bytes]:
+    """The only message of the topic in the only file, and what the file says about it."""
+    (file,) = folder.glob("*.mcap")
+    with file.open("rb") as opened:
+        ((schema, channel, message),) = make_reader(opened).iter_messages(topics=["/talk"])
+    assert schema is not None
+    return channel.message_encoding, schema.name, schema.encoding, schema.data, message.data
+
+
+async def test_recording_of_an_unknown_type_says_that_its_bytes_are_cdr(tmp_path: Path) -> None:
+    program = talker()
+    config = CONFIG.with_tables(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
+    async with daemon(config) as host, udp_board(address_of(host, "udp"), program):
+        await announced(host, "my_msgs/Own")
+        _, view = await host.rest("POST", "/api/recordings", b"{}")
+        await expect(lambda: len(host.hub.topics.find("/talk").subscribers) > 0)
+        program.publish(b"seven")
+        await expect(lambda: host.hub.topics.find("/talk").messages)
+        status, _ = await host.rest("POST", f"/api/recordings/{view['name']}/stop")
+        assert status == 200
+    assert recorded(tmp_path) == ("cdr", "my_msgs/msg/Own", "", b"", b"\0\1\0\0seven")

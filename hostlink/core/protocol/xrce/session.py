@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Final
 
+from hostlink.core.messages.serialisation import CDR
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
@@ -393,8 +394,13 @@ class XrceSession(DeviceSession):
         return self._by_key.get(endpoint.key, endpoint) == endpoint and not self._is_changed(endpoint)
 
     @property
+    def raw_encoding(self) -> str:
+        """Serialisation of messages whose type has no definition: CDR."""
+        return CDR
+
+    @property
     def raw_endpoints(self) -> tuple[DeviceEndpoint, ...]:
-        """Endpoints whose messages are passed on as they are, because their type has no definition."""
+        """Endpoints whose messages are passed on as CDR, because their type has no definition."""
         return tuple(each for each in self._known if self._payloads.is_raw(each))
 
     @property

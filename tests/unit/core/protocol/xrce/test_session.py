@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.core.messages.catalog import Catalog
-from hostlink.core.messages.cdr import cdr_of
+from hostlink.core.messages.cdr import ENCAPSULATION, cdr_of
+from hostlink.core.messages.serialisation import CDR
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
@@ -430,7 +431,7 @@ def test_objects_by_xml_and_reference_are_shown() -> None:
     client.publish_best_effort(0x15, b"raw bytes")
     here.do(client.listen(0.1))
     (received,) = of_kind(here, events.MessageReceived)
-    assert received.payload == b"raw bytes"  # type: ignore[attr-defined]
+    assert received.payload == ENCAPSULATION + b"raw bytes"  # type: ignore[attr-defined]
 
 
 def test_type_that_ros_2_has_changed_is_refused() -> None:
@@ -1970,3 +1971,58 @@ def test_unfinished_messages_are_counted_and_can_be_dropped() -> None:
     assert here.session.kept_bytes == before
     here.session.drop_unfinished()
     assert here.session.kept_bytes == before
+
+
+# -- types without a definition ---------------------------------------------------------------------------------------
+
+
+OWN = "my_package::msg::dds_::Own_"
+
+
+def test_message_of_an_unknown_type_is_cdr_with_its_encapsulation_in_both_directions() -> None:
+    here = world()
+    client = here.client
+    here.do(client.connect())
+    for id_, content, parent in (
+        (0x01, board.participant("n"), 0),
+        (0x02, board.topic("rt/own", OWN), 1),
+        (0x03, b"\0\0", 1),
+        (WRITER, board.endpoint(0x02, is_reader=False), 3),
+        (0x04, b"\0\0", 1),
+        (READER, board.endpoint(0x02, is_reader=True), 4),
+    ):
+        assert here.do(client.create(id_, content, parent)) == 0
+    client.read_data(READER)
+    here.do(client.publish(WRITER, b"as it is"))
+    (received,) = of_kind(here, events.MessageReceived)
+    assert (here.session.raw_encoding, received.payload) == (CDR, ENCAPSULATION + b"as it is")  # type: ignore[attr-defined]
+    here.session.publish("/own", ENCAPSULATION + b"to it")
+    here.write()
+    here.do(client.listen(0.1))
+    assert taken(here, READER) == [b"to it"]
+    with pytest.raises(WrongType, match="4 bytes: my_package/Own: the payload begins with 726f7331, little-endian CDR"):
+        here.session.publish("/own", b"ros1")
+
+
+def test_zero_of_an_endpoint_before_the_last_announcement_has_the_layout_of_its_type() -> None:
+    here = world()
+    here.do(here.client.connect())
+    for id_, content, parent in (
+        (0x01, board.participant("n"), 0),
+        (0x02, board.topic("rt/cmd_vel", STAMPED), 1),
+        (0x04, b"\0\0", 1),
+        (READER, board.endpoint(0x02, is_reader=True), 4),
+    ):
+        assert here.do(here.client.create(id_, content, parent)) == 0
+    here.run(here.now_s + 2 * QUIET_S)
+    (endpoint,) = here.session.topics
+    here.do(here.client.delete(READER))
+    here.run(here.now_s + 2 * QUIET_S)
+    assert here.session.topics == ()
+    stamped = CATALOG.message("geometry_msgs/TwistStamped")
+    assert stamped is not None
+    zero = stamped.encode({"header": {"seq": 7, "frame_id": "base"}})
+    assert here.session.send_zero(endpoint, zero)
+    here.write()
+    here.do(here.client.listen(0.1))
+    assert taken(here, READER)[0] == cdr_of(stamped).from_ros1(zero)
