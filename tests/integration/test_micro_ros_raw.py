@@ -28,11 +28,17 @@ async def announced(host: Daemon, type_name: str) -> None:
     await expect(lambda: (found := topics.find_or_none("/talk")) is not None and found.type_name == type_name)
 
 
+async def subscribed(host: Daemon) -> None:
+    """Wait until a program or a recorder subscribes to the topic."""
+    await expect(lambda: len(host.hub.topics.find("/talk").subscribers) > 0)
+
+
 async def test_program_gets_fields_of_the_new_type_after_a_board_has_changed_it() -> None:
     program = talker(STRING)
     async with daemon(CONFIG) as host, udp_board(address_of(host, "udp"), program), connect(host.url) as me:
         await announced(host, "std_msgs/String")
         async with me.subscribe("/talk") as messages, asyncio.timeout(TIMEOUT_S):
+            await subscribed(host)
             program.publish(struct.pack("<I4s", 4, b"abc\0"))
             assert await anext(messages) == {"data": "abc"}
             program.change_type(INT32)
@@ -58,6 +64,7 @@ async def test_message_of_an_unknown_type_is_cdr_in_the_graph_to_programs_and_to
                 break
         assert [found[each] for each in ("/talk", "/listen", "/answer")] == ["cdr"] * 3
         async with me.subscribe_raw("/talk") as messages:
+            await subscribed(host)
             sender.publish(b"seven\0\0\0")
             message = await anext(messages)
         assert (message.payload, message.encoding) == (b"\0\1\0\0seven\0\0\0", "cdr")
@@ -80,7 +87,7 @@ async def test_recording_of_an_unknown_type_says_that_its_bytes_are_cdr(tmp_path
     async with daemon(config) as host, udp_board(address_of(host, "udp"), program):
         await announced(host, "my_msgs/Own")
         _, view = await host.rest("POST", "/api/recordings", b"{}")
-        await expect(lambda: len(host.hub.topics.find("/talk").subscribers) > 0)
+        await subscribed(host)
         program.publish(b"seven")
         await expect(lambda: host.hub.topics.find("/talk").messages)
         status, _ = await host.rest("POST", f"/api/recordings/{view['name']}/stop")

@@ -106,6 +106,7 @@ async def test_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> 
 @virtual
 async def test_type_without_a_definition_is_recorded_in_the_encoding_of_its_device() -> None:
     hub, kept = Hub(Config(), CATALOG, reraises=True), Kept()
+    hub.join("program").subscribe("/talk", lambda _: None, type_name="my_msgs/Own")  # the topic stays
     recorder = Recorder(host_of(hub), kept, TopicSelection())
     recorder.start()
     for device, encoding in (("micro-ROS", CDR), ("rosserial", ROS1)):
