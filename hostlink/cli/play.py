@@ -19,13 +19,14 @@ from hostlink.cli.connecting import connected
 from hostlink.cli.output import quantity, show_progress, show_question, write_error
 from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, Robot, connect
-from hostlink.components.recorder.channel import DEVICE, ROS1, VELOCITY, Channel
+from hostlink.components.recorder.channel import DEVICE, VELOCITY, Channel
 from hostlink.components.recorder.playing import (
     Due,
     DueVelocity,
     NewestDue,
     drives,
     is_drive,
+    is_playable,
     may_move,
     robots_of,
     schedule,
@@ -145,13 +146,19 @@ async def play_devices(file: Path, playback: Playback, address: tuple[str, int],
     devices = {name: _device(name, file, found) for name, found in robots.items()}
 
     def is_wanted(channel: Channel) -> bool:
-        return channel.robot in devices and channel.origin == DEVICE
+        return channel.robot in devices and channel.origin == DEVICE and is_playable(channel)
 
     async def put(message: StoredMessage) -> None:
         device = devices[message.channel.robot]
         device.publish(message.channel.topic, message.payload)
         await device.drained()
 
+    for channel in channels:
+        if channel.robot in devices and channel.origin == DEVICE and not is_playable(channel):
+            write_error(
+                f"{channel.topic} is left out: its messages are {channel.encoding}, because {channel.type_name} had no "
+                "definition when it was recorded; record it with --messages FOLDER"
+            )
     async with _connected(devices, address):
         write_error(f"playing {', '.join(sorted(devices))}; `hostlink robots` shows their names there; Ctrl-C ends")
         count = await _play_messages(file, playback, is_wanted, put)
@@ -210,7 +217,7 @@ async def publish_topics(url: str, token: str | None, file: Path, playback: Play
     decoders = Decoders()
 
     def is_wanted(channel: Channel) -> bool:
-        is_readable = channel.encoding == ROS1 and not channel.content
+        is_readable = is_playable(channel) and not channel.content
         return (
             is_readable and not may_move(channel) and any(fnmatch.fnmatchcase(channel.topic, each) for each in topics)
         )

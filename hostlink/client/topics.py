@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from hostlink.client.connection import HostConnection, refused_by
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.views import RawMessage
+from hostlink.core.messages.serialisation import ROS1
 from hostlink.core.runtime.units import NS_PER_S
 from hostlink.errors import HostlinkError, Refused
 
@@ -17,7 +18,7 @@ from hostlink.errors import HostlinkError, Refused
 
 Subscription = Mailbox[dict[str, Any]]
 RawSubscription = Mailbox[RawMessage]
-RAW = {"compression": "cbor-raw"}  # option of a subscription that `read_raw` reads
+RAW = {"compression": "cbor-raw", "any_encoding": True}  # option of a subscription that `read_raw` reads
 Item = TypeVar("Item")
 
 
@@ -125,7 +126,8 @@ class Topics:
 
 
 def read_raw(message: dict[str, Any]) -> RawMessage:
-    return RawMessage(message["bytes"], message["secs"] * NS_PER_S + message["nsecs"])
+    stamp_ns = message["secs"] * NS_PER_S + message["nsecs"]
+    return RawMessage(message["bytes"], stamp_ns, message.get("encoding", ROS1))
 
 
 def _typed(type_name: str) -> dict[str, str]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple, Self
 
+from hostlink.core.messages.serialisation import ROS1
 from hostlink.core.robot.standstill import Standstill
 from hostlink.core.robot.views import CommandEndpointView, OdometryView, PoseView, RobotView, TopicView, VelocityView
 
@@ -45,10 +46,11 @@ class Stopped(dict[str, Standstill]):
 
 
 class RawMessage(NamedTuple):
-    """A message as it is on the wire: serialised as ROS 1 does it, which is rosserial's way too."""
+    """A message as bytes: serialised as ROS 1 does it, which is rosserial's way too, unless `encoding` says else."""
 
     payload: bytes
     stamp_ns: int  # wall time at which it reached the daemon
+    encoding: str = ROS1  # "cdr": as ROS 2 serialises it, because the daemon has no definition of its type
 
 
 class Driven(NamedTuple):

@@ -13,12 +13,12 @@ from hostlink.cli import play
 from hostlink.cli.demo import DemoDriver
 from hostlink.cli.names import driver
 from hostlink.client import connect
-from hostlink.components.recorder.channel import DEVICE, VELOCITY
+from hostlink.components.recorder.channel import CDR, DEVICE, VELOCITY, ros_channel
 from hostlink.core.protocol.endpoint import EndpointKind
 from hostlink.core.protocol.rosserial.frame import encode
 from hostlink.core.robot.velocity import ZERO
 from hostlink.core.runtime.listening import spelled
-from hostlink.errors import ConfigError
+from hostlink.errors import BadRequest, ConfigError
 from hostlink.workbench.sim.run import SocketAddress, run_fleet
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
@@ -125,6 +125,26 @@ async def test_a_played_device_whose_name_is_none_drives_no_robot(tmp_path: Path
         assert host.hub.topics.find("/robot_0/drive").publishers
         gate = host.hub.robots.find("robot_0").gate
         assert (gate.counts.commands, gate.current) == (0, ZERO)
+
+
+async def test_cdr_of_a_type_without_a_definition_is_not_played_and_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A played device sends as rosserial does: its programs would take the bytes for those of ROS 1."""
+    raw = ros_channel(
+        "/robot_0/talk", "my_msgs/Own", None, is_latched=False, robot="robot_0", origin=DEVICE, encoding=CDR
+    )
+    file = recording(tmp_path, [(0.1 * number, each, POSE) for number in range(5) for each in (ODOMETRY, raw)])
+    async with daemon() as host:
+        received: list[bytes] = []
+        host.hub.join("program").subscribe("/robot_0/talk", lambda message: received.append(message.payload))
+        await play.play_devices(file, PLAYBACK, host.tcp, [])
+        with pytest.raises(BadRequest, match="has no topic /robot_0/talk that may be published"):
+            await play.publish_topics(host.url, None, file, PLAYBACK, ["/robot_0/talk"])
+        assert received == []
+    shown = capsys.readouterr().err
+    assert "/robot_0/talk is left out: its messages are cdr, because my_msgs/msg/Own had no definition" in shown
+    assert "5 messages" in shown
 
 
 async def test_a_message_that_no_device_can_send_is_left_out(

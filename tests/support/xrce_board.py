@@ -514,6 +514,51 @@ class Stock:
             yield -until_s  # negative: not even for a message
 
 
+@dataclass
+class Talker:
+    """A program that publishes on one topic and subscribes to another. It does what a test puts into `steps`."""
+
+    client: Client
+    published: tuple[str, str]  # name of the topic, and its type
+    subscribed: tuple[str, str]
+    taken: list[bytes] = field(default_factory=list)
+    steps: deque[Program] = field(default_factory=deque)
+    is_running: bool = False
+
+    WRITER, READER, WRITTEN = object_id(0, WRITER), object_id(0, READER), object_id(0, TOPIC)
+
+    def run(self) -> Program:
+        """Create everything, then do one step after the other."""
+        node, read = object_id(0, PARTICIPANT), object_id(1, TOPIC)
+        groups = object_id(0, PUBLISHER), object_id(0, SUBSCRIBER)
+        self.client.on_data = lambda _, payload: self.taken.append(payload)
+        assert (yield from self.client.connect())
+        for id_, content, parent in (
+            (node, participant("talker"), 0),
+            (self.WRITTEN, topic(*self.published), node),
+            (groups[0], b"\0\0", node),
+            (self.WRITER, endpoint(self.WRITTEN, is_reader=False), groups[0]),
+            (read, topic(*self.subscribed), node),
+            (groups[1], b"\0\0", node),
+            (self.READER, endpoint(read, is_reader=True), groups[1]),
+        ):
+            assert (yield from self.client.create(id_, content, parent)) == 0
+        self.client.read_data(self.READER)
+        self.is_running = True
+        while True:
+            yield from self.steps.popleft() if self.steps else self.client.listen(0.01)
+
+    def publish(self, payload: bytes) -> None:
+        """Publish a message as the next step."""
+        self.steps.append(self.client.publish(self.WRITER, payload))
+
+    def change_type(self, type_: str) -> None:
+        """Create the topic that is published again with another type, and its writer, as the stock library does."""
+        self.steps.append(self.client.create(self.WRITTEN, topic(self.published[0], type_), object_id(0, PARTICIPANT)))
+        again = endpoint(self.WRITTEN, is_reader=False)
+        self.steps.append(self.client.create(self.WRITER, again, object_id(0, PUBLISHER)))
+
+
 # -- transports -------------------------------------------------------------------------------------------------------
 
 

@@ -94,7 +94,7 @@ def stock(*, key: bytes = b"\1\2\3\4", **how: bool | float) -> board.Stock:
 @contextlib.asynccontextmanager
 async def udp_board(
     address: tuple[str, int],
-    program: board.Stock | None = None,
+    program: board.Stock | board.Talker | None = None,
     *,
     loss: float = 0.0,
     local: str = "127.0.0.1",

@@ -56,6 +56,7 @@ from hostlink.core.config import ParameterValue
 from hostlink.core.host import (
     MAX_ADVERTISED,
     MAX_CALLS,
+    GraphTopic,
     Host,
     Message,
     NodeGraph,
@@ -67,6 +68,8 @@ from hostlink.core.host import (
 )
 from hostlink.core.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.core.messages.message_type import MessageType, ServiceType
+from hostlink.core.messages.ros2_names import ros2_type
+from hostlink.core.messages.serialisation import CDR
 from hostlink.core.runtime.log_budget import Budget
 from hostlink.core.runtime.loop_time import loop_time_s
 from hostlink.core.runtime.rate_limit import REFUSED_VELOCITIES_S, RateLimit
@@ -86,11 +89,13 @@ MAX_UNDEFINED = 8  # topics without a definition that are reported to a client a
 
 
 class FoxgloveChannel(NamedTuple):
-    """A topic as it is advertised."""
+    """A topic as it is advertised. `type` is None if it has no definition, and is passed on in another encoding."""
 
     id: int
     topic: str
-    type: MessageType
+    type_name: str
+    type: MessageType | None
+    encoding: str
     json: msgspec.Raw
 
 
@@ -153,15 +158,17 @@ class FoxgloveDirectory:
     def _make_offers(self) -> Offers:
         graph = self._participant.graph()
         topics = [topic for topic in graph.topics if topic.type_name and (topic.is_published or topic.is_velocity)]
-        channels: dict[Hashable, tuple[str, MessageType]] = {
-            (topic.name, topic.type.md5): (topic.name, topic.type) for topic in topics if topic.type is not None
+        channels: dict[Hashable, GraphTopic] = {
+            (topic.name, topic.type_name if topic.type is None else topic.type.md5, topic.encoding): topic
+            for topic in topics
+            if topic.type is not None or topic.encoding == CDR
         }
         typed = ((each.name, self._graph.service_type(each.name)) for each in graph.services)
         services: dict[Hashable, tuple[str, ServiceType]] = {
             (name, type_.name, type_.md5): (name, type_) for name, type_ in typed if type_ is not None
         }
         self._channels = {
-            key: self._channels.get(key) or _channel(next(self._numbers), *offer) for key, offer in channels.items()
+            key: self._channels.get(key) or _channel(next(self._numbers), topic) for key, topic in channels.items()
         }
         self._services = {
             key: self._services.get(key) or _service(next(self._numbers), *offer) for key, offer in services.items()
@@ -176,16 +183,18 @@ class FoxgloveDirectory:
         return ConnectionGraph(*map(_sorted, self._graph.by_node()))
 
 
-def _channel(number: int, topic: str, type_: MessageType) -> FoxgloveChannel:
-    advertised = {
-        "id": number,
-        "topic": topic,
-        "encoding": ROS1,
-        "schemaName": type_.name,
-        "schema": type_.full_definition,
-        "schemaEncoding": ROS1_SCHEMA,
-    }
-    return FoxgloveChannel(number, topic, type_, msgspec.Raw(msgspec.json.encode(advertised)))
+def _channel(number: int, topic: GraphTopic) -> FoxgloveChannel:
+    advertised = {"id": number, "topic": topic.name, "encoding": topic.encoding}
+    if topic.type is None:  # CDR, with a schema that a client may have by itself
+        advertised |= {"schemaName": ros2_type(topic.type_name), "schema": ""}
+    else:
+        advertised |= {
+            "schemaName": topic.type.name,
+            "schema": topic.type.full_definition,
+            "schemaEncoding": ROS1_SCHEMA,
+        }
+    json = msgspec.Raw(msgspec.json.encode(advertised))
+    return FoxgloveChannel(number, topic.name, topic.type_name, topic.type, topic.encoding, json)
 
 
 def _service(number: int, name: str, type_: ServiceType) -> FoxgloveService:
@@ -318,10 +327,10 @@ class FoxgloveSubscriptions:
             raise BadRequest(f"subscribe: {channel.topic} is subscribed already")
 
         def receive(message: Message) -> None:
-            if message.type is channel.type:
+            if message.type is channel.type and message.encoding == channel.encoding:
                 self._queue.put_message(channel.topic, self._time.outgoing(message, wanted.id), message.at_s)
 
-        subscription = self._participant.subscribe(channel.topic, receive, type_name=channel.type.name)
+        subscription = self._participant.subscribe(channel.topic, receive, type_name=channel.type_name)
         self._subscriptions[wanted.id] = (channel, subscription)
         self._of_channel[channel.id] = wanted.id
 

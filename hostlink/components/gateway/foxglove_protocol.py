@@ -9,9 +9,10 @@ from typing import Annotated, Any, Final, NamedTuple
 import msgspec
 
 from hostlink.components.gateway.rosbridge import MAX_TEXT
+from hostlink.core.messages import serialisation
 from hostlink.errors import BadRequest
 
-ROS1: Final = "ros1"  # encoding of messages, requests and responses; rosserial serialises alike
+ROS1: Final = serialisation.ROS1  # encoding of messages, requests and responses; rosserial serialises alike
 ROS1_SCHEMA: Final = "ros1msg"  # a definition with all that it contains
 
 _PUBLISHED, _CALL = 1, 2  # opcodes from a client

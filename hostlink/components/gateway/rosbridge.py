@@ -51,6 +51,7 @@ from hostlink.core.host import (
 from hostlink.core.messages.catalog import Catalog, to_time
 from hostlink.core.messages.fields import SCALAR
 from hostlink.core.messages.message_type import MessageType, ServiceType
+from hostlink.core.messages.serialisation import ROS1
 from hostlink.core.robot.admission import EARLIER_EPOCH
 from hostlink.core.robot.state import MAX_PRIORITY
 from hostlink.core.robot.velocity import TWIST_TYPE, Twist
@@ -418,8 +419,25 @@ def encode_cbor(topic: str, message: Message) -> bytes:
 
 
 def encode_cbor_raw(topic: str, message: Message) -> bytes:
-    """Encode the `publish` operation with the serialised message: rosserial and ROS 1 serialise alike."""
+    """Encode the `publish` operation with the serialised message: rosserial and ROS 1 serialise alike.
+
+    Raises:
+        BadPayload: the bytes are of another serialisation, which a reader of `cbor-raw` would misread.
+    """
+    if message.encoding != ROS1:
+        raise BadPayload(
+            message.type_name,
+            f'its messages are {message.encoding}, because it has no definition; subscribe with "any_encoding": true, '
+            "or put its .msg into a folder named in message_folders",
+        )
+    return encode_cbor_any(topic, message)
+
+
+def encode_cbor_any(topic: str, message: Message) -> bytes:
+    """Encode as `encode_cbor_raw`, in any serialisation. Of one that is not that of ROS 1, `msg` has the name."""
     raw = {**to_time(message.stamp_ns), "bytes": message.payload}
+    if message.encoding != ROS1:
+        raw["encoding"] = message.encoding
     return cbor2.dumps({"op": "publish", "topic": topic, "msg": raw})
 
 
@@ -440,8 +458,10 @@ def _with_typed_arrays(type_: MessageType, fields: Mapping[str, Any]) -> dict[st
 
 Warn = Callable[[str], None]
 
-_BINARY = {"cbor": encode_cbor, "cbor-raw": encode_cbor_raw}
-_FORMS = ("none", "cbor", "cbor-raw")  # the highest counts where ids of one topic differ, as in rosbridge
+_ANY = "cbor-raw any"  # of a client that reads `encoding`
+_BINARY = {"cbor": encode_cbor, _ANY: encode_cbor_any, "cbor-raw": encode_cbor_raw}
+_COMPRESSIONS = ("none", "cbor", "cbor-raw")
+_FORMS = ("none", "cbor", _ANY, "cbor-raw")  # the highest counts where ids of one topic differ, as in rosbridge
 
 
 class _SubscriptionOptions(NamedTuple):
@@ -492,11 +512,13 @@ class ClientSubscriptions:
             BadRequest: a field is wrong, or there are too many subscriptions.
             WrongType: the topic is in use with another type.
         """
-        name, form = request.text("topic"), request.text_or("compression", "none")
+        name, compression = request.text("topic"), request.text_or("compression", "none")
+        is_any = compression == "cbor-raw" and request.fields.get("any_encoding") is True
+        form = _ANY if is_any else compression if compression in _COMPRESSIONS else "none"
         chosen = _SubscriptionOptions(
             request.number("throttle_rate") / 1000,
             min(int(request.number("queue_length")), MAX_QUEUE_LENGTH),
-            form if form in _FORMS else "none",
+            form,
         )
         known = self._subscriptions.get(name)
         is_new = known is None or request.id not in known.options
@@ -517,8 +539,8 @@ class ClientSubscriptions:
             self._subscriptions[name] = mine
         else:
             self._update(mine)
-        if form not in _FORMS:
-            self._warn(f"subscribe: compression {form} is not offered, {name} is sent as JSON")
+        if compression not in _COMPRESSIONS:
+            self._warn(f"subscribe: compression {compression} is not offered, {name} is sent as JSON")
 
     def unsubscribe(self, request: Request) -> None:
         """Remove one id, or without an id the whole topic. An unknown id is ignored."""
@@ -836,6 +858,7 @@ def graph_view(graph: Graph) -> dict[str, list[dict[str, object]]]:
                 "subscribed": each.is_subscribed,
                 "latched": each.is_latched,
                 "velocity": each.is_velocity,
+                "encoding": each.encoding,
             }
             for each in graph.topics
         ],

@@ -5,10 +5,12 @@ import struct
 from dataclasses import dataclass
 from typing import Protocol
 
+from hostlink.core.messages import serialisation
 from hostlink.core.messages.message_type import MessageType
+from hostlink.core.messages.ros2_names import ros2_type
 
-JSON, ROS1, CDR = "json", "ros1", "cdr"
-SCHEMA_ENCODINGS = {ROS1: "ros1msg", JSON: "jsonschema", CDR: "ros2msg"}
+JSON, ROS1, CDR = "json", serialisation.ROS1, serialisation.CDR
+_SCHEMA_ENCODINGS = {ROS1: "ros1msg", JSON: "jsonschema", CDR: "ros2msg"}
 LIBRARY = "hostlink"  # library name in the header of a file that has only wall times: repaired, of another program
 LIBRARY_STEADY = "hostlink; publish_time is steady"
 DEVICE, VELOCITY, HOSTLINK = "device", "velocity", "hostlink"  # publishers of a topic
@@ -24,9 +26,9 @@ class Channel:
     """Channel as in MCAP: https://mcap.dev/spec, and its profile ros1."""
 
     topic: str
-    encoding: str  # ROS1: payload in the serialisation of rosserial and ROS 1; or JSON
+    encoding: str  # ROS1: payload in the serialisation of rosserial and ROS 1; CDR of an unknown type; or JSON
     type_name: str
-    schema: str  # ros1msg: the full definition; or jsonschema
+    schema: str  # ros1msg: the full definition; or jsonschema; empty: unknown
     metadata: tuple[tuple[str, str], ...] = ()
     language: str = ""  # schema language, if not the one that hostlink writes with this encoding
 
@@ -42,7 +44,7 @@ class Channel:
 
     @property
     def schema_encoding(self) -> str:
-        return self.language or SCHEMA_ENCODINGS.get(self.encoding, "")
+        return self.language or usual_language(self.encoding, self.schema)
 
     @property
     def content(self) -> str:
@@ -53,6 +55,14 @@ class Channel:
         if self.encoding == JSON:
             return self.type_name
         return dict(self.metadata).get("content", "") if self.encoding == ROS1 else ""
+
+
+def usual_language(encoding: str, schema: str) -> str:
+    """Return the schema language that hostlink writes with an encoding; empty for CDR without a schema.
+
+    An empty ros2msg would be a message without fields, and a reader would decode it without an error.
+    """
+    return "" if encoding == CDR and not schema else _SCHEMA_ENCODINGS.get(encoding, "")
 
 
 class Sink(Protocol):
@@ -74,23 +84,32 @@ def _pair(name: str, value: str) -> tuple[str, str]:
 
 
 def ros_channel(
-    topic: str, type_name: str, type_: MessageType | None, *, is_latched: bool, robot: str = "", origin: str = ""
+    topic: str,
+    type_name: str,
+    type_: MessageType | None,
+    *,
+    is_latched: bool,
+    robot: str = "",
+    origin: str = "",
+    encoding: str = ROS1,
 ) -> Channel:
     """Create the channel of a topic. Without a definition its messages are kept but cannot be decoded.
 
     `robot` is the robot that it belongs to. `origin` is its publisher: DEVICE, VELOCITY (a command to the robot),
-    HOSTLINK or "".
+    HOSTLINK or "". `encoding` is that of the topic. One of CDR has the type's name in ROS 2.
     """
     md5 = "*" if type_ is None else type_.md5
     metadata = (
         _pair("callerid", "/hostlink"),
-        _pair("md5sum", md5),
+        *(() if encoding == CDR else (_pair("md5sum", md5),)),
         _pair("latching", str(int(is_latched))),
         ("topic", topic),
         _pair("robot", robot),
         _pair("origin", origin),
     )
-    return Channel(topic, ROS1, type_name, "" if type_ is None else type_.full_definition, metadata)
+    if encoding == CDR:
+        type_name = ros2_type(type_name)
+    return Channel(topic, encoding, type_name, "" if type_ is None else type_.full_definition, metadata)
 
 
 def _text_channel(topic: str, content: str) -> Channel:

@@ -73,7 +73,7 @@ class McapWriter:
         self._chunk = mcap_format.Chunk()
         self._summary: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY}
         self._ids: dict[Channel, int] = {}
-        self._schema_ids: dict[tuple[str, str], int] = {}
+        self._schema_ids: dict[tuple[str, str, str], int] = {}
         self._counts = Counter[int]()  # messages by channel
         self._first_ns, self._last_ns = 2**64, 0  # times of the messages in the file
         library = LIBRARY_STEADY if has_steady_times else LIBRARY
@@ -115,7 +115,7 @@ class McapWriter:
         return channel_id
 
     def _schema_id(self, channel: Channel) -> int:
-        key = channel.type_name, channel.schema
+        key = channel.type_name, channel.schema, channel.schema_encoding
         if key not in self._schema_ids:
             number = self._schema_ids[key] = len(self._schema_ids) + 1
             content = channel.type_name, channel.schema_encoding, channel.schema

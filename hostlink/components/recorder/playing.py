@@ -114,6 +114,11 @@ def is_drive(channel: Channel) -> bool:
     return channel.origin == VELOCITY and channel.encoding == ROS1 and channel.type_name == TWIST_TYPE
 
 
+def is_playable(channel: Channel) -> bool:
+    """Whether a played device can send the messages of a channel: as ROS 1 serialises them."""
+    return channel.encoding == ROS1
+
+
 def may_move(channel: Channel) -> bool:
     """Whether a robot could read messages of this channel as velocities, judged by type and not by publisher.
 
@@ -125,10 +130,11 @@ def may_move(channel: Channel) -> bool:
 def robots_of(channels: Iterable[Channel]) -> dict[str, list[Channel]]:
     """Return the channels that each robot's device published, and those of its velocity. Other robots are omitted.
 
-    A topic that the device published and that may be the velocity of another robot is omitted.
+    A topic that the device published and that may be the velocity of another robot is omitted, and so is one whose
+    messages are not in the serialisation of ROS 1, in which a played device sends.
     """
     robots: dict[str, dict[str, Channel]] = {}
-    for channel in channels:
+    for channel in filter(is_playable, channels):
         is_of_another = channel.origin == DEVICE and may_move(channel) and "vel" in channel.topic.rpartition("/")[2]
         if channel.robot and channel.origin in (DEVICE, VELOCITY) and not is_of_another:
             robots.setdefault(channel.robot, {})[channel.topic] = channel

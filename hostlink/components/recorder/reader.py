@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from hostlink.components.recorder.channel import CDR, LIBRARY_STEADY, ROS1, SCHEMA_ENCODINGS, Channel
+from hostlink.components.recorder.channel import CDR, LIBRARY_STEADY, ROS1, Channel, usual_language
 from hostlink.components.recorder.definitions import need_rosbags
 from hostlink.components.recorder.mcap_format import (
     CHANNEL_OFFSET,
@@ -464,7 +464,7 @@ class McapReader:
         number, schema = fields.number(U16), self._schemas.get(fields.number(U16), ("", "", ""))
         topic, encoding, metadata = fields.text(), fields.text(), tuple(fields.texts().items())
         name, text, language = schema
-        is_usual = language == SCHEMA_ENCODINGS.get(encoding, "")
+        is_usual = language == usual_language(encoding, text)
         channel = Channel(topic, encoding, name, text, metadata, "" if is_usual else language)
         if self._channels.get(number) != channel and self._has_room(topic, *itertools.chain.from_iterable(metadata)):
             self._channels[number] = channel

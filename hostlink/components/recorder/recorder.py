@@ -123,6 +123,7 @@ class Recorder:
             else HOSTLINK
             if topic.is_derived
             else "",
+            encoding=topic.encoding,
         )
         self._sink.announce(channel)
         return self._participant.subscribe(
@@ -164,7 +165,8 @@ class _Track:
         self._sink, self._channel, self._robot = sink, channel, robot
 
     def receive(self, message: Message) -> None:
-        self._sink.put(self._channel, message.stamp_ns, message.payload, self._robot)
+        if message.encoding == self._channel.encoding:  # otherwise the graph reports the change soon
+            self._sink.put(self._channel, message.stamp_ns, message.payload, self._robot)
 
 
 class _NamesByRobot:
@@ -191,7 +193,7 @@ def _first_part(name: str) -> str:
     return name.lstrip("/").partition("/")[0]
 
 
-_facts_of_channel = attrgetter("name", "type_name", "is_latched", "is_velocity")
+_facts_of_channel = attrgetter("name", "type_name", "encoding", "is_latched", "is_velocity")
 
 
 def _is_same(before: GraphTopic, now: GraphTopic) -> bool:

@@ -108,7 +108,7 @@ def built_type(channel: Channel) -> Ros2Type:
     name = ros2_name(channel.type_name)
     if channel.encoding == ROS1:
         ros1_type(channel)
-    elif channel.encoding != CDR or channel.schema_encoding not in ("ros2msg", "ros2idl", "omgidl"):
+    elif channel.encoding != CDR or channel.schema_encoding not in ("", "ros2msg", "ros2idl", "omgidl"):
         raise UnknownFormat(encoding_of(channel))
     ros2 = _store(Stores.ROS2_KILTED)
     types = _types_of(channel, name)

@@ -20,7 +20,7 @@ from typing import Any
 
 import msgspec
 
-from hostlink.components.recorder.channel import EVENTS, JSON, ROS1, Channel
+from hostlink.components.recorder.channel import CDR, EVENTS, JSON, ROS1, Channel
 from hostlink.components.recorder.definitions import need_rosbags
 from hostlink.components.recorder.drives import LastCommand, finish_drives
 from hostlink.components.recorder.folder import Folder
@@ -289,7 +289,12 @@ def _check_left(path: Path) -> None:
         return
 
 
+def _is_ours(channel: Channel) -> bool:
+    """Whether hostlink writes such a channel: CDR only of a type without a definition."""
+    return channel.encoding in (ROS1, JSON) or (channel.encoding == CDR and not channel.schema)
+
+
 def _check_ours(reader: McapReader) -> None:
     """Check that the file is hostlink's. Other content, such as foreign schemas or attachments, would be lost."""
-    if reader.profile != PROFILE or any(channel.encoding not in (ROS1, JSON) for channel in reader.channels):
+    if reader.profile != PROFILE or not all(map(_is_ours, reader.channels)):
         raise RecordingFailed(f"{reader.path} was written by another program; `mcap recover` may repair it")

@@ -23,6 +23,7 @@ MAX_SERVICES = 512  # of other nodes
 AT_ONCE = 4  # nodes whose services' types are requested
 OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")  # services for ROS tools, never called by hostlink
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 8.0  # until a publisher is connected again
+UNDEFINED = "no definition here, so ROS 1 cannot read it; put its .msg into a folder named in message_folders"
 SERVICE_RETRY_S = 10.0  # until a node that did not announce the type of its service is asked again
 
 
@@ -169,7 +170,7 @@ class GraphSync:
         found: dict[str, _Published] = {}
         for topic in topics:
             if topic.is_published and topic.type is None:
-                self._node.log_once("ros1.topic_unknown", topic=topic.name, type=topic.type_name)
+                self._node.log_once("ros1.topic_unknown", topic=topic.name, type=topic.type_name, reason=UNDEFINED)
             elif topic.is_published and topic.type is not None:
                 name = self._legal(names.to_ros(topic.name))
                 if name:

@@ -6,6 +6,7 @@ from typing import Any
 
 from hostlink.components.graphs.ros2_qos import Qos
 from hostlink.core.messages.ros2_names import is_ros2_name, ros1_type, ros2_type
+from hostlink.core.messages.serialisation import CDR
 
 GLOBAL = frozenset({"/tf", "/tf_static", "/clock", "/diagnostics"})  # one for all namespaces, as in ROS 2
 
@@ -46,6 +47,7 @@ class PublicationRoute:
     topic: str
     type_name: str  # of the daemon
     is_latched: bool
+    is_cdr: bool = False  # the daemon has no definition: the messages are ROS 2's bytes already
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +151,8 @@ def publisher_keys(ros2: Ros2Graph) -> frozenset[bytes | str]:
 
 def _published(topic: Mapping[str, Any], ros2: Ros2Graph) -> Iterable[Route]:
     if topic["published"] and topic["type"] and topic["name"] != "/rosout":
-        publication = PublicationRoute(topic["name"], topic["type"], topic["latched"])
+        is_cdr = topic.get("encoding") == CDR
+        publication = PublicationRoute(topic["name"], topic["type"], topic["latched"], is_cdr=is_cdr)
         yield publication
         if topic["latched"] or topic["name"] in ros2.readers:
             yield Feed(publication)
@@ -163,6 +166,9 @@ def _received(topic: Mapping[str, Any], ros2: Ros2Graph, problems: list[str]) ->
     type_name = topic["type"] or ros1_type(offered[0])
     if len(offered) > 1 or offered[0] != ros2_type(type_name):
         problems.append(f"{topic['name']}: {type_name} here, {' and '.join(offered)} in ROS 2: it is not received")
+        return
+    if topic.get("encoding") == CDR:
+        problems.append(f"{topic['name']}: {type_name} has no definition here: it is not received from ROS 2")
         return
     qos = subscription_qos(publisher.qos for publisher in publishers)
     yield Reception(topic["name"], offered[0], type_name, qos)

@@ -37,6 +37,7 @@ from hostlink.components.ros2.plan import (
 )
 from hostlink.components.ros2.velocity import Sent, VelocityDriver
 from hostlink.core.messages.ros2_names import ros1_type, ros2_type
+from hostlink.core.messages.serialisation import CDR
 from hostlink.core.mirror.inbox import ThreadInbox
 from hostlink.core.robot.velocity import Twist
 from hostlink.core.runtime.log_budget import Budget
@@ -126,7 +127,8 @@ class Routes:
         return self._classes[key]
 
     async def _publish(self, route: PublicationRoute) -> None:
-        cls = await self._message_class(route.type_name, ros2_type(route.type_name))
+        name = ros2_type(route.type_name)
+        cls = load_type(name) if route.is_cdr else await self._message_class(route.type_name, name)
         qos = publisher_qos(route.topic, is_latched=route.is_latched)
         async with self._node.publisher(route.topic, cls, qos) as publisher:
             self._publisher_of(route).set_result(publisher)
@@ -140,15 +142,17 @@ class Routes:
         return self._publishers.setdefault(route, asyncio.get_running_loop().create_future())
 
     async def _feed(self, route: PublicationRoute) -> None:
-        """Bytes of the daemon to ROS 2."""
+        """Bytes of the daemon to ROS 2. Those that are CDR pass as they are."""
         publisher = await asyncio.shield(self._publisher_of(route))
         type_name, conversion = ros2_type(route.type_name), self._conversion
-        has_header = conversion.begins_with_header(type_name)
+        has_header = not route.is_cdr and conversion.begins_with_header(type_name)
         echoes = self._echoes[route.topic]
         async with self._host.subscribe_raw(route.topic, type_name=route.type_name) as messages:
             async for message in messages:
+                if (message.encoding == CDR) != route.is_cdr:  # the graph reports the change soon
+                    continue
                 try:
-                    data = conversion.to_cdr(message.payload, type_name)
+                    data = message.payload if route.is_cdr else conversion.to_cdr(message.payload, type_name)
                 except BadPayload:
                     self._note_malformed(route.topic)
                     continue

@@ -30,6 +30,7 @@ from hostlink.core.host import (
     Role,
     Subscription,
 )
+from hostlink.core.messages.serialisation import ROS1
 from hostlink.core.mirror.log_once import LogOnce
 from hostlink.core.mirror.mirror import Mirror
 from hostlink.errors import HostlinkError
@@ -217,7 +218,7 @@ class FleetTopics:
         )
         self._here: dict[str, tuple[FleetTopic, str]] = {}  # with their names here, by the name that others know
         self._list: bytes | None = None  # encoded answer; None: not requested since the last change
-        log_once = LogOnce(by=("topic",))
+        log_once = self._log_once = LogOnce(by=("topic",))
         self._remote = Mirror[str, Neighbour, _RemoteTopics](  # by robot
             lambda robot, neighbour: _RemoteTopics(host, transport, robots, log_once, robot, neighbour), self._fail
         )
@@ -287,7 +288,10 @@ class FleetTopics:
             robot = robots.get(topic.name.split("/")[1]) if topic.name.count("/") > 1 else None
             robot = robot or own.get(topic.name)
             is_there = robot is not None and (robot.link is not None or topic.is_velocity)
-            if robot is not None and is_there and topic.type_name:
+            if robot is not None and is_there and topic.encoding != ROS1:
+                reason = f"{topic.type_name} has no definition here, its messages are {topic.encoding}"
+                self._log_once("fleet.topic_refused", topic=topic.name, reason=reason)
+            elif robot is not None and is_there and topic.type_name:
                 name = fleet_name(robot.name, topic.name)
                 state = FleetTopic(
                     robot=robot.name,

@@ -455,7 +455,8 @@ class Device:
     def _add(self, info: DeviceEndpoint, robot: LocalRobot | None) -> None:
         name = self.shown.of(info.name)
         if info.kind is EndpointKind.PUBLISHER:
-            topic = self._shared.topics.advertise(name, self.link, type_name=info.type)
+            raw_encoding = self.link.session.raw_encoding
+            topic = self._shared.topics.advertise(name, self.link, type_name=info.type, raw_encoding=raw_encoding)
             self._route(info, topic, robot)
         elif info.kind is EndpointKind.SUBSCRIBER:
             self._subscribe(info, name, robot)
@@ -540,7 +541,9 @@ class Device:
             subscription = DeviceSubscription(send, is_gate=False, is_command=is_reset or self._may_move(info, robot))
         else:
             subscription = DeviceSubscription(drivable.receive, is_gate=True, target=drivable)
-        topic = self._shared.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
+        topic = self._shared.topics.subscribe_device(
+            name, self.link, subscription, type_name=info.type, raw_encoding=self.link.session.raw_encoding
+        )
         if drivable is not None:
             drivable.echoes[topic.name] = Echo(topic, output)
             if robot is None:  # a robot's gate has joined before

@@ -11,6 +11,7 @@ from hostlink.core.hub.services import DeviceService, Provider, Services
 from hostlink.core.hub.topic import Topic
 from hostlink.core.hub.topic_graph import TopicGraph
 from hostlink.core.messages.message_type import MessageType
+from hostlink.core.messages.serialisation import ROS1
 
 OBSERVERS = "recording"  # group whose subscriptions do not import a topic from another graph
 ROSAPI = "/rosapi/"  # services about this daemon's graph, for clients of rosbridge only
@@ -29,6 +30,7 @@ class GraphTopic:
     is_velocity: bool  # its messages drive a robot
     is_derived: bool  # only hostlink publishes it, from messages of devices
     has_device: bool = False  # a device subscribes to it
+    encoding: str = ROS1  # serialisation of its messages; another one only if its type has no definition
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,7 @@ def graph_topic(topic: Topic | None, group: str) -> GraphTopic | None:
         is_velocity=topic.is_gated,
         is_derived=is_derived(topic),
         has_device=bool(topic.devices),
+        encoding=topic.encoding,
     )
     return found if found.is_published or found.is_subscribed else None
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Hashable
 
 from hostlink.core.messages.message_type import MessageType
+from hostlink.core.messages.serialisation import ROS1
 from hostlink.errors import BadPayload
 
 PROGRAM_PRIORITY = 50  # of a program that gives none
@@ -16,7 +17,8 @@ class Message:
     """
 
     __slots__ = (
-        "_decoded", "_made", "at_s", "epoch", "payload", "priority", "source", "stamp_ns", "topic", "type", "type_name",
+        "_decoded", "_made", "at_s", "encoding", "epoch", "payload", "priority", "source", "stamp_ns", "topic", "type",
+        "type_name",
     )  # fmt: skip
 
     def __init__(
@@ -31,10 +33,12 @@ class Message:
         at_s: float,
         priority: int = PROGRAM_PRIORITY,
         epoch: int | None = None,
+        encoding: str = ROS1,
     ) -> None:
         self.topic = topic
         self.type_name = type_name
         self.type = type_  # None: the type has no definition here; the payload passes unchanged
+        self.encoding = encoding  # serialisation of the payload: ROS1, or CDR of a type without a definition
         self.payload = payload
         self.source = source
         self.stamp_ns = stamp_ns

@@ -13,6 +13,7 @@ from hostlink.core.hub.byte_budget import ByteBudget
 from hostlink.core.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.core.hub.node import Node
 from hostlink.core.messages.message_type import MessageType
+from hostlink.core.messages.serialisation import ROS1
 from hostlink.core.robot.velocity import Twist
 from hostlink.errors import BadRequest, HostlinkError
 
@@ -155,8 +156,8 @@ class Topic:
 
     __slots__ = (
         "_budget", "_deliveries", "_expected", "_number", "_snapshot", "_subscribers", "_wall_ns",
-        "devices", "earlier", "is_gated", "latched", "messages", "name", "publishers", "rank", "target", "type",
-        "type_name",
+        "devices", "earlier", "encoding", "is_gated", "latched", "messages", "name", "publishers", "rank", "target",
+        "type", "type_name",
     )  # fmt: skip
 
     def __init__(
@@ -171,6 +172,7 @@ class Topic:
         self._wall_ns = wall_ns
         self.type_name = ""  # until a publisher or subscriber names it
         self.type: MessageType | None = None
+        self.encoding = ROS1  # serialisation of its messages; another one only if its type has no definition
         self.rank = PROGRAM_RANK  # of the user that named the type
         self.messages = 0
         self.publishers: Set[Hashable] = _NOBODY
@@ -299,6 +301,7 @@ class Topic:
             at_s=at_s,
             priority=priority,
             epoch=epoch,
+            encoding=self.encoding,
         )
         refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
         if not self.is_gated:
@@ -310,7 +313,14 @@ class Topic:
         """Pass a payload to all subscribers, but to no device."""
         if self._subscribers:
             message = Message(
-                self.name, self.type_name, self.type, payload, source=source, stamp_ns=self._wall_ns(), at_s=at_s
+                self.name,
+                self.type_name,
+                self.type,
+                payload,
+                source=source,
+                stamp_ns=self._wall_ns(),
+                at_s=at_s,
+                encoding=self.encoding,
             )
             self._deliveries.add(self._dispatch, message)
         else:
@@ -378,6 +388,7 @@ class Topic:
                     source=source,
                     stamp_ns=self._wall_ns(),
                     at_s=asyncio.get_running_loop().time(),
+                    encoding=self.encoding,
                 )
 
 

@@ -8,6 +8,7 @@ from hostlink.core.hub.byte_budget import ByteBudget
 from hostlink.core.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.core.hub.topic import DEVICE_RANK, PROGRAM_RANK, Deliveries, DeviceSubscription, Listener, Topic, rank_of
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.serialisation import ROS1
 from hostlink.core.robot.admission import EarlierCommands
 from hostlink.errors import UnknownTopic, WrongType
 
@@ -70,7 +71,7 @@ class TopicGraph:
         Raises:
             WrongType: the topic is in use with another type.
         """
-        topic = self._open(name, subscriber.type_name, PROGRAM_RANK)
+        topic = self._open(name, subscriber.type_name, PROGRAM_RANK, None)
         number = topic.add_subscriber(subscriber)
         try:
             topic.deliver_latched(subscriber)
@@ -83,26 +84,38 @@ class TopicGraph:
         topic.remove_subscriber(number)
         self._settle(topic)
 
-    def advertise(self, name: str, key: Hashable, *, type_name: str, is_latched: bool = False) -> Topic:
-        """Add `key` as a publisher of the topic.
+    def advertise(
+        self, name: str, key: Hashable, *, type_name: str, is_latched: bool = False, raw_encoding: str = ROS1
+    ) -> Topic:
+        """Add `key` as a publisher of the topic. `raw_encoding`: that of its messages if the type has no definition.
 
         Raises:
-            WrongType: the topic is in use with another type.
+            WrongType: the topic is in use with another type or encoding.
         """
-        topic = self._open(name, type_name, rank_of(key))
+        topic = self._open(name, type_name, rank_of(key), raw_encoding)
         topic.add_publisher(key)
         self._note(key, topic)
         if is_latched:
             topic.latched.setdefault(key)
         return topic
 
-    def subscribe_device(self, name: str, key: Hashable, subscription: DeviceSubscription, *, type_name: str) -> Topic:
+    def subscribe_device(
+        self,
+        name: str,
+        key: Hashable,
+        subscription: DeviceSubscription,
+        *,
+        type_name: str,
+        raw_encoding: str = ROS1,
+    ) -> Topic:
         """Add the device `key` as a subscriber, and send it latched messages unless they are commands.
 
+        `raw_encoding` is that of the messages which it takes if the type has no definition.
+
         Raises:
-            WrongType: the topic is in use with another type.
+            WrongType: the topic is in use with another type or encoding.
         """
-        topic = self._open(name, type_name, rank_of(key))
+        topic = self._open(name, type_name, rank_of(key), raw_encoding)
         if not self.earlier.is_empty:
             topic.earlier = self.earlier.sources(topic.name, asyncio.get_running_loop().time())
         topic.add_device(key, subscription)
@@ -155,18 +168,22 @@ class TopicGraph:
         if not used:
             self._of_key.pop(key, None)
 
-    def _open(self, name: str, type_name: str, rank: int) -> Topic:
+    def _open(self, name: str, type_name: str, rank: int, raw_encoding: str | None) -> Topic:
+        """Return the topic of a name for a user with this type. `raw_encoding`: None for one that takes either."""
         resolved = resolve(name)
         topic = self._topics.get(resolved) or Topic(resolved, self.deliveries, self.budget, self._wall_ns)
         type_ = self._catalog.message(type_name) if type_name else None
         plain_name = type_.name if type_ is not None else type_name
-        if plain_name and plain_name != topic.type_name:
+        encoding = ROS1 if type_ is not None else raw_encoding or topic.encoding
+        if plain_name and (plain_name != topic.type_name or encoding != topic.encoding):
             if topic.type_name and rank <= topic.rank:
+                if plain_name == topic.type_name:
+                    raise WrongType(resolved, f"{plain_name} as {topic.encoding}", f"{plain_name} as {encoding}")
                 raise WrongType(resolved, topic.type_name, plain_name)
             for key in [key for key in topic.publishers if rank_of(key) < rank]:  # they publish another type
                 topic.forget_publisher(key)
                 self._unnote(key, topic)
-            topic.type_name, topic.type, topic.rank = plain_name, type_, rank
+            topic.type_name, topic.type, topic.encoding, topic.rank = plain_name, type_, encoding, rank
         elif plain_name:
             topic.rank = max(topic.rank, rank)
         self._topics[resolved] = topic
@@ -185,3 +202,4 @@ class TopicGraph:
             expected = topic.expected_type
             topic.type = self._catalog.message(expected) if expected else None
             topic.type_name = expected if topic.type is None else topic.type.name
+            topic.encoding = ROS1

@@ -72,9 +72,7 @@ class Cdr:
             BadPayload: it is not a message of this type, or its encapsulation is not that of little-endian CDR.
         """
         if is_encapsulated:
-            if len(payload) < len(ENCAPSULATION) or not payload.startswith(_REPRESENTATION):
-                raise BadPayload(self.name, f"the payload begins with {payload[:4].hex()}, little-endian CDR with 0001")
-            payload = payload[len(ENCAPSULATION) :]
+            payload = without_encapsulation(self.name, payload)
         return self._translated(self._to_ros1, payload, is_exact=is_encapsulated)
 
     def from_ros1(self, payload: bytes, *, is_encapsulated: bool = False) -> bytes:
@@ -91,6 +89,17 @@ class Cdr:
             return translate(payload, is_exact)
         except UNCOMMON_LAYOUT as error:
             raise BadPayload(self.name, f"{len(payload)} bytes are not such a message: {error}") from None
+
+
+def without_encapsulation(type_name: str, payload: bytes) -> bytes:
+    """Return the message alone of a payload that begins with ENCAPSULATION.
+
+    Raises:
+        BadPayload: its encapsulation is not that of little-endian CDR.
+    """
+    if len(payload) < len(ENCAPSULATION) or not payload.startswith(_REPRESENTATION):
+        raise BadPayload(type_name, f"the payload begins with {payload[:4].hex()}, little-endian CDR with 0001")
+    return payload[len(ENCAPSULATION) :]
 
 
 _cdrs: Final[WeakKeyDictionary[MessageType, Cdr]] = WeakKeyDictionary()

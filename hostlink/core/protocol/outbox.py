@@ -143,6 +143,11 @@ class Outbox:
         """Drop the commands of a topic that wait."""
         self.replaced += len(self._commands.pop(topic_id, ()))
 
+    def drop_topic(self, topic_id: int) -> None:
+        """Drop everything of a topic that waits, also velocities: its id has another meaning now."""
+        self._urgent.pop(topic_id, None)
+        self._commands.pop(topic_id, None)
+
     def put_answer(self, key: Hashable, frame: bytes, *, depth: int) -> None:
         """Queue a frame of the protocol itself, such as an acknowledgement. The newest `depth` of a key wait."""
         waiting = self.answers.setdefault(key, deque())

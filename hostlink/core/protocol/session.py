@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.serialisation import ROS1
 from hostlink.core.protocol.clock import DeviceClock
 from hostlink.core.protocol.endpoint import DeviceEndpoint
 from hostlink.core.protocol.events import Event, Parameter
@@ -160,6 +161,11 @@ class DeviceSession(ABC):
     def is_refused(self, endpoint: DeviceEndpoint) -> bool:  # noqa: ARG002 - for protocols that check types
         """Whether this endpoint was refused because of its type."""
         return False
+
+    @property
+    def raw_encoding(self) -> str:
+        """Serialisation in which messages of a type without a definition pass: ROS1, or CDR with its encapsulation."""
+        return ROS1
 
     @abstractmethod
     def has(self, endpoint: DeviceEndpoint) -> bool:

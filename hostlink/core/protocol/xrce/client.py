@@ -215,6 +215,12 @@ class XrceClient:
         self.held.clear()
         self.flying_until_s = float("-inf")
 
+    def drop_velocity(self, endpoint_id: int) -> None:
+        """Forget the velocity of one endpoint that waits, and its zero that is repeated."""
+        self.zeros.pop(endpoint_id, None)
+        self.rests.pop(endpoint_id, None)
+        self.held.pop(endpoint_id, None)
+
     # -- what is stored -----------------------------------------------------------------------------------------------
 
     def stored(self) -> ClientState:

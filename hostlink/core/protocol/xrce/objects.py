@@ -43,7 +43,7 @@ class XrceObject(NamedTuple):
     """One object of a client. `payload` is its CREATE without the request id.
 
     `name` is that of the topic or service, or of a participant's node. A reader and a writer in binary form have the id
-    of their topic, and its name and type from then on.
+    of their topic, and its name and type: those of the last topic with this id.
     """
 
     id: int
@@ -208,7 +208,15 @@ class ObjectTable:
         if before is None and not self._has_room(new.kind):
             self.refused += 1
             return Status.RESOURCES
+        followers = (
+            [each for each in self.by_id.values() if each.topic == new.id] if new.kind == ObjectKind.TOPIC else ()
+        )
+        if before is None:
+            for each in followers:  # a topic is before them, so that they can be created again in this order
+                del self.by_id[each.id]
         self.by_id[new.id] = new
+        for each in followers:
+            self.by_id[each.id] = each._replace(name=new.name, type=new.type, representation=new.representation)
         return Status.OK
 
     def has(self, new: XrceObject) -> bool:

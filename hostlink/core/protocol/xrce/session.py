@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Final
 
+from hostlink.core.messages.serialisation import CDR
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
@@ -73,6 +74,7 @@ from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, HostlinkError
 
 NAME: Final = "micro-ROS"
 UNANNOUNCED: Final = "its board has begun anew and has not announced it yet"
+CHANGED: Final = "its board has created it again with another name or type, which is announced within a second"
 CLIENTS_MAX: Final = 4  # behind one address; the id of an endpoint has two bits for them
 MTU_MIN: Final = 32  # less has no room for an answer
 QUIET_S: Final = 0.1  # a board creates its objects one after another, each within a round trip
@@ -379,16 +381,21 @@ class XrceSession(DeviceSession):
 
     def has(self, endpoint: DeviceEndpoint) -> bool:
         """Whether the device still has this endpoint."""
-        return self._by_key.get(endpoint.key) == endpoint and self._object_of(endpoint) is not None
+        is_known = self._by_key.get(endpoint.key) == endpoint
+        return is_known and self._object_of(endpoint) is not None and not self._is_changed(endpoint)
 
     def may_have(self, endpoint: DeviceEndpoint) -> bool:
         """Whether the device may still have this endpoint: its id has no other name or type now."""
-        now = self._by_key.get(endpoint.key)
-        return now is None or now.name == endpoint.name or now.type == endpoint.type
+        return self._by_key.get(endpoint.key, endpoint) == endpoint and not self._is_changed(endpoint)
+
+    @property
+    def raw_encoding(self) -> str:
+        """Serialisation of messages whose type has no definition: CDR."""
+        return CDR
 
     @property
     def raw_endpoints(self) -> tuple[DeviceEndpoint, ...]:
-        """Endpoints whose messages are passed on as they are, because their type has no definition."""
+        """Endpoints whose messages are passed on as CDR, because their type has no definition."""
         return tuple(each for each in self._known if self._payloads.is_raw(each))
 
     @property
@@ -630,6 +637,21 @@ class XrceSession(DeviceSession):
         client = self._client_of(endpoint)
         return None if client is None else client.objects.by_id.get(object_id(endpoint))
 
+    def _is_changed(self, endpoint: DeviceEndpoint) -> bool:
+        """Whether the object of an endpoint has another name or type now."""
+        client, now = self._client_of(endpoint), self._object_of(endpoint)
+        if client is None or now is None:
+            return False
+        return client.objects.name_and_type(now) != (endpoint.name, endpoint.type)
+
+    def _drop_changed(self, client: XrceClient) -> None:
+        """Drop what waits for readers that have another name or type now: they would misread the bytes."""
+        for each in self._by_key.values():
+            if each.kind is EndpointKind.SUBSCRIBER and _slot(each) == client.slot and self._is_changed(each):
+                self.outbox.drop_topic(each.id)
+                client.drop_velocity(each.id)
+                self._drop_samples(client, each)
+
     def _to_endpoint(
         self, what: str, name: str, kind: EndpointKind, payload: bytes
     ) -> tuple[DeviceEndpoint, XrceClient, bytes]:
@@ -640,6 +662,8 @@ class XrceSession(DeviceSession):
         client = None if self._object_of(endpoint) is None else self._client_of(endpoint)
         if client is None or not client.is_announced:  # it may have begun anew, at rest
             raise UnknownTopic(what, name, why=UNANNOUNCED)
+        if self._is_changed(endpoint):
+            raise UnknownTopic(what, name, why=CHANGED)
         if endpoint.key in self._refused:
             raise self._refused[endpoint.key].with_traceback(None)  # otherwise the traceback grows with each raise
         return endpoint, client, self._translated(endpoint, payload)
@@ -845,6 +869,8 @@ class XrceSession(DeviceSession):
                     return
                 status = Status.INVALID_DATA if new is None else client.objects.create(new, submessage.flags)
                 self.counts.malformed += new is None
+                if status == Status.OK:
+                    self._drop_changed(client)
             client.note_creating(self._now_s)
             if status in {Status.OK, Status.MATCHED}:
                 self._announce_s = self._now_s + QUIET_S

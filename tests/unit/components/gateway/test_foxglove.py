@@ -21,6 +21,7 @@ from hostlink.components.gateway.foxglove_protocol import ServiceCall, decode_fr
 from hostlink.core.hub.node import Role
 from hostlink.core.hub.participant import MAX_SUBSCRIPTIONS, Participant
 from hostlink.core.hub.queue import MAX_MESSAGES, MAX_RESULTS
+from hostlink.core.messages.serialisation import CDR
 from hostlink.errors import BadRequest
 from tests.support.foxglove_memory import Peer, World, world
 from tests.support.virtual_loop import within
@@ -500,3 +501,30 @@ def test_connection_graph_is_sent_as_changes() -> None:
         "removedServices": ["/s"],
     }
     assert graph_update(before, NO_GRAPH)["removedTopics"] == ["/a", "/b"]  # type: ignore[index]
+
+
+# -- types without a definition ---------------------------------------------------------------------------------------
+
+
+@within(world)
+async def test_cdr_of_a_type_without_a_definition_is_a_channel_without_a_schema_and_a_warning(here: World) -> None:
+    peer = here.client()
+    here.hub.topics.advertise("/own", "rosserial", type_name="my_msgs/Own")
+    topic = here.hub.topics.advertise("/talk", "board", type_name="my_msgs/Own", raw_encoding=CDR)
+    await asyncio.sleep(SETTLE_S)
+    sent = peer.json()
+    channels = [each for frame in sent if frame["op"] == "advertise" for each in frame["channels"]]
+    (channel,) = [each for each in channels if each["topic"] in {"/talk", "/own"}]
+    number = channel.pop("id")
+    assert channel == {"topic": "/talk", "encoding": "cdr", "schemaName": "my_msgs/msg/Own", "schema": ""}
+    warned = [frame["message"] for frame in sent if frame["op"] == "status"]
+    assert [text.partition(":")[0] for text in warned] == ["/own", "/talk"]
+    peer.send(op="subscribe", subscriptions=[{"id": 7, "channelId": number}])
+    topic.publish(b"\0\1\0\0x", source="board")
+    topic.encoding = "ros1"  # it changes, and the graph has not reported that yet
+    topic.publish(b"not on this channel", source="board")
+    topic.encoding = CDR
+    assert [payload for _, _, _, payload in peer.messages()] == [b"\0\1\0\0x"]
+    here.hub.topics.leave("board")
+    here.hub.topics.advertise("/talk", "other board", type_name="std_msgs/String")
+    assert await number_of(peer, "/talk") != number

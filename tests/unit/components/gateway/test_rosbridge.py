@@ -7,8 +7,10 @@ from typing import Any
 
 import pytest
 
+from hostlink.client.topics import read_raw
 from hostlink.components.gateway.rosbridge import MAX_CALLS
 from hostlink.core.hub.queue import MAX_MESSAGES
+from hostlink.core.messages.serialisation import CDR
 from tests.support.rosbridge_memory import call, offered, world
 from tests.support.virtual_loop import run_virtual
 
@@ -326,3 +328,37 @@ async def test_client_that_does_not_read_answers_is_not_read_from() -> None:
         assert len(peer.received()) == 150
         await peer.queue.room()
         assert not peer.queue.is_too_slow
+
+
+# -- types without a definition ---------------------------------------------------------------------------------------
+
+
+async def test_cdr_is_refused_to_a_reader_of_cbor_raw_that_does_not_read_the_encoding() -> None:
+    async with world() as here:
+        topic = here.hub.topics.advertise("/talk", "board", type_name="my_msgs/Own", raw_encoding=CDR)
+        plain, other, known = (here.client() for _ in range(3))
+        for each in (plain, other):
+            each.send(op="set_level", level="warning")
+        plain.send(op="subscribe", topic="/talk", compression="cbor-raw")
+        other.send(op="subscribe", topic="/talk", compression="cbor-raw", any_encoding="yes")
+        known.send(op="subscribe", topic="/talk", compression="cbor-raw", any_encoding=True)
+        topic.publish(b"\0\1\0\0x", source="board")
+        refusal = (
+            'my_msgs/Own: its messages are cdr, because it has no definition; subscribe with "any_encoding": true, or '
+            "put its .msg into a folder named in message_folders"
+        )
+        assert [statuses(each.received()) for each in (plain, other)] == [[refusal]] * 2
+        (message,) = messages(known.received())
+        assert (message["bytes"], message["encoding"]) == (b"\0\1\0\0x", "cdr")
+        raw = read_raw(message)
+        assert (raw.payload, raw.encoding) == (b"\0\1\0\0x", "cdr")
+
+
+async def test_reader_of_any_encoding_gets_messages_of_ros_1_without_its_name() -> None:
+    async with world() as here:
+        listener = here.client()
+        listener.send(op="subscribe", compression="cbor-raw", any_encoding=True, **CHAT)
+        here.client().send(op="publish", topic="/chat", msg={"data": "x"})
+        (message,) = messages(listener.received())
+        assert message.keys() == {"secs", "nsecs", "bytes"}
+        assert read_raw(message).encoding == "ros1"

@@ -384,7 +384,7 @@ async def test_watched_graph_is_sent_at_once_and_after_each_change(api: ApiMemor
     topics = {topic["name"]: topic for topic in graph["topics"]}
     assert topics[VELOCITY] == {
         "name": VELOCITY, "type": "geometry_msgs/Twist", "published": False, "subscribed": True,
-        "latched": False, "velocity": True,
+        "latched": False, "velocity": True, "encoding": "ros1",
     }  # fmt: skip
     assert (topics["/robot_0/odometry"]["published"], topics["/robot_0/odometry"]["velocity"]) == (True, False)
     assert {"name": "/robot_0/lock", "type": "std_srvs/Trigger"} in graph["services"]

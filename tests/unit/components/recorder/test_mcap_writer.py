@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from hostlink.components.recorder.channel import EVENTS, Channel, as_text, ros_channel
+from hostlink.components.recorder.channel import CDR, EVENTS, Channel, as_text, ros_channel
 from hostlink.components.recorder.mcap_writer import McapWriter
 from hostlink.components.recorder.reader import McapReader, StoredMessage
 from hostlink.components.recorder.salvage import Repaired, repair
@@ -24,6 +24,7 @@ CHANNELS = [
     ros_channel("/robot_0/odometry", "geometry_msgs/Pose2D", POSE, is_latched=False),
     ros_channel("/chat", "std_msgs/String", TEXT, is_latched=True),
     ros_channel("/mystery", "my_msgs/Unknown", None, is_latched=False),
+    ros_channel("/board", "my_msgs/Unknown", None, is_latched=False, encoding=CDR),
     EVENTS,
 ]
 
@@ -83,6 +84,18 @@ def test_schema_has_all_that_its_type_contains(tmp_path: Path) -> None:
     (message,) = McapReader(tmp_path / "a.mcap").messages()
     assert "MSG: geometry_msgs/PoseWithCovariance" in message.channel.schema
     assert dict(message.channel.metadata)["md5sum"] == odometry.md5
+
+
+def test_cdr_without_a_definition_has_its_ros_2_name_and_no_schema_for_other_programs(tmp_path: Path) -> None:
+    """With the schema encoding ros2msg, an empty schema would be a message without fields."""
+    write(tmp_path / "a.mcap", [StoredMessage(channel, 1, b"\0\1\0\0x", 1) for channel in CHANNELS])
+    with (tmp_path / "a.mcap").open("rb") as file:
+        found = {
+            channel.topic: (channel.message_encoding, schema.name, schema.encoding, schema.data, message.data)
+            for schema, channel, message in make_reader(file).iter_messages()
+        }
+    assert found["/board"] == ("cdr", "my_msgs/msg/Unknown", "", b"", b"\0\1\0\0x")
+    assert found["/mystery"][:4] == ("ros1", "my_msgs/Unknown", "ros1msg", b"")
 
 
 def test_each_ended_chunk_of_a_file_that_is_never_finished_can_be_read(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,23 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
 from hostlink.components.recorder.bags import RosFormat, export_ros
-from hostlink.components.recorder.channel import EVENTS, JSON, LOG, PARAMETERS, TEXT_MD5, Channel, as_text, ros_channel
+from hostlink.components.recorder.channel import (
+    CDR,
+    EVENTS,
+    JSON,
+    LOG,
+    PARAMETERS,
+    TEXT_MD5,
+    TEXT_TYPE,
+    Channel,
+    as_text,
+    ros_channel,
+)
 from hostlink.components.recorder.definitions import why_unknown
 from hostlink.components.recorder.export import export_csv
 from hostlink.components.recorder.mcap_writer import McapWriter
 from hostlink.components.recorder.plot import read_lines, read_paths
-from hostlink.components.recorder.reader import contents_of, open_source
+from hostlink.components.recorder.reader import McapReader, contents_of, open_source
 from hostlink.components.recorder.salvage import repair
 from hostlink.components.recorder.tables import read
 from hostlink.core.messages.catalog import Catalog
@@ -366,3 +378,46 @@ def test_file_other_than_a_bag_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b"#ROSBAG V2.0\n" + b"x" * 100)
     with pytest.raises(RecordingFailed, match="cannot be read"):
         contents_of(path)
+
+
+def cdr_recording(path: Path, type_name: str) -> Path:
+    """Write a recording of hostlink's with a CDR topic whose type had no definition, and a text."""
+    writer = McapWriter(path, metadata={})
+    message = b"\0\1\0\0" + struct.pack("<i", 7)
+    writer.write(ros_channel("/own", type_name, None, is_latched=False, encoding=CDR), BEGIN_NS, message)
+    writer.write(
+        ros_channel("/text", TEXT_TYPE, Catalog().message(TEXT_TYPE), is_latched=False), BEGIN_NS, as_text(b"a")
+    )
+    writer.close()
+    return path
+
+
+@pytest.mark.parametrize("format_", RosFormat)
+def test_cdr_without_a_definition_is_refused_and_left_out_by_its_name(tmp_path: Path, format_: RosFormat) -> None:
+    path = cdr_recording(tmp_path / "a.mcap", "my_msgs/Own")
+    with pytest.raises(
+        UnknownFormat, match=r"/own \(my_msgs/msg/Own: the recording has no definition of my_msgs/msg/Own"
+    ):
+        export_ros(open_source(path), tmp_path / "out", format_)
+    done = export_ros(
+        open_source(path), tmp_path / f"out{'.bag' * (format_ is RosFormat.ROS1)}", format_, skips_unknown=True
+    )
+    assert (done.messages, list(done.left_out)) == (1, ["/own"])
+
+
+def test_cdr_of_a_type_that_ros_2_itself_has_is_exported_with_its_values(tmp_path: Path) -> None:
+    path = cdr_recording(tmp_path / "a.mcap", "example_interfaces/Int32")
+    with pytest.raises(UnknownFormat, match="no definition of example_interfaces/msg/Int32"):
+        export_csv(open_source(path), tmp_path / "out")
+    path = cdr_recording(tmp_path / "b.mcap", "std_msgs/Int32")
+    _, lines = export_csv(open_source(path), tmp_path / "csv")
+    assert lines == {"own.csv": 1, "text.csv": 1}
+    assert "7" in (tmp_path / "csv" / "own.csv").read_text().splitlines()[1].split(",")
+
+
+def test_recording_with_cdr_of_an_unknown_type_is_repaired(tmp_path: Path) -> None:
+    path = cdr_recording(tmp_path / "a.mcap", "my_msgs/Own")
+    path.write_bytes(path.read_bytes()[:-100])
+    assert repair(path).messages == 2
+    (own,) = [each for each in McapReader(path).messages() if each.channel.topic == "/own"]
+    assert (own.channel.encoding, own.channel.type_name) == ("cdr", "my_msgs/msg/Own")

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.components.recorder.channel import DEVICE, EVENTS, HOSTLINK, VELOCITY, Channel, ros_channel
+from hostlink.components.recorder.channel import CDR, DEVICE, EVENTS, HOSTLINK, VELOCITY, Channel, ros_channel
 from hostlink.components.recorder.playing import DueVelocity, NewestDue, drives, robots_of, schedule
 from hostlink.components.recorder.reader import StoredMessage
 from hostlink.core.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity, Twist
@@ -47,6 +47,13 @@ def test_robot_has_what_its_device_published_and_its_velocities() -> None:
     odometry, velocity = channel("a", "/a/odometry", DEVICE), channel("a", "/a/velocity", VELOCITY)
     others = [channel("a", "/a/odom", HOSTLINK), channel("", "/chat", ""), channel("b", "/b/cmd_vel", VELOCITY), EVENTS]
     assert robots_of([odometry, *others, velocity]) == {"a": [odometry, velocity]}
+
+
+def test_cdr_is_not_played_because_a_played_device_sends_as_ros_1() -> None:
+    odometry = channel("a", "/a/odometry", DEVICE)
+    raw = ros_channel("/a/own", "my_msgs/Own", None, is_latched=False, robot="a", origin=DEVICE, encoding=CDR)
+    assert robots_of([odometry, raw]) == {"a": [odometry]}
+    assert robots_of([raw]) == {}
 
 
 def test_topic_recorded_twice_is_one_channel() -> None:

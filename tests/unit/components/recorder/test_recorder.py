@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from hostlink.components.recorder.channel import EVENTS, Channel, json_of
+from hostlink.components.recorder.channel import CDR, EVENTS, ROS1, Channel, json_of
 from hostlink.components.recorder.recorder import Recorder, TopicSelection
 from hostlink.core.config import Config
 from hostlink.core.hub.graph_changes import LATEST_S
@@ -26,6 +26,7 @@ class Kept:
 
     def __init__(self) -> None:
         self.channels: list[str] = []
+        self.of_payloads: list[Channel] = []
         self.payloads: list[bytes] = []
 
     def announce(self, channel: Channel) -> None:
@@ -33,6 +34,7 @@ class Kept:
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:  # noqa: ARG002 - of a sink
         self.payloads.append(payload)
+        self.of_payloads.append(channel)
 
 
 @dataclass(frozen=True)
@@ -99,3 +101,25 @@ async def test_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> 
     hub.robots.put_remote(remote_robot(hub, "robot_7"))
     await asyncio.sleep(2 * LATEST_S)
     assert (before, recorder.topics) == ([], ["/robot_7/plan"])
+
+
+@virtual
+async def test_type_without_a_definition_is_recorded_in_the_encoding_of_its_device() -> None:
+    hub, kept = Hub(Config(), CATALOG, reraises=True), Kept()
+    hub.join("program").subscribe("/talk", lambda _: None, type_name="my_msgs/Own")  # the topic stays
+    recorder = Recorder(host_of(hub), kept, TopicSelection())
+    recorder.start()
+    for device, encoding in (("micro-ROS", CDR), ("rosserial", ROS1)):
+        topic = hub.topics.advertise("/talk", device, type_name="my_msgs/Own", raw_encoding=encoding)
+        await asyncio.sleep(2 * LATEST_S)
+        topic.publish(encoding.encode(), source=device)
+        topic.encoding = CDR if encoding == ROS1 else ROS1  # it changes, and the graph has not reported that yet
+        topic.publish(b"not on this channel", source=device)
+        topic.encoding = encoding
+        hub.topics.leave(device)
+        await asyncio.sleep(2 * LATEST_S)
+    recorder.stop()
+    found = [(each.encoding, each.type_name, each.schema_encoding, each.schema) for each in kept.of_payloads]
+    assert found == [("cdr", "my_msgs/msg/Own", "", ""), ("ros1", "my_msgs/Own", "ros1msg", "")]
+    assert kept.payloads == [b"cdr", b"ros1"]
+    assert ["md5sum" in dict(each.metadata) for each in kept.of_payloads] == [False, True]

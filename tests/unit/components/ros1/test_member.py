@@ -15,7 +15,9 @@ from hostlink.components.ros1.names import NameResolver
 from hostlink.components.ros1.node import HEADER_TIMEOUT_S, KEEPALIVE_S, MAX_AGE_S, Member, SlaveApi
 from hostlink.components.ros1.tcpros import encode_header
 from hostlink.components.ros1.xml_rpc import CallRefused, decode_answer, encode_call
+from hostlink.core.hub.topic import DeviceSubscription
 from hostlink.core.messages.catalog import CLOCK_TYPE
+from hostlink.core.messages.serialisation import CDR
 from tests.support.api_memory import ApiTransport
 from tests.support.logs import logged
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
@@ -331,3 +333,19 @@ async def test_time_of_clock_is_used_while_use_sim_time_is_set(made: Graph, valu
     assert (made.scene.hub.links.wall_ns() == 0) is is_simulated
     await made.call("paramUpdate", "/master", "/use_sim_time", False)
     assert made.scene.hub.links.wall_ns() > 0
+
+
+@inside(with_graph)
+async def test_cdr_of_a_type_without_a_definition_is_not_offered_and_logged_with_the_reason(made: Graph) -> None:
+    with capture_logs() as lines:
+        hub = made.scene.hub
+        hub.topics.advertise("/talk", "board", type_name="my_msgs/Own", raw_encoding=CDR)
+        hub.topics.subscribe_device(
+            "/listen", "board", DeviceSubscription(print, is_gate=False), type_name="my_msgs/Own", raw_encoding=CDR
+        )
+        await asyncio.sleep(0.2)
+    assert not {"/talk", "/listen"} & {name for _, name in made.sync.wanted()}
+    (line,) = [each for each in lines if each["event"] == "ros1.topic_unknown"]
+    assert (line["topic"], line["type"]) == ("/talk", "my_msgs/Own")
+    assert line["reason"].endswith("ROS 1 cannot read it; put its .msg into a folder named in message_folders")
+    hub.topics.leave("board")

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from hostlink.client import RawMessage
 from hostlink.components.gateway.rosapi import describe
 from hostlink.components.graphs.ros2_qos import COMMANDS, Qos
 from hostlink.components.ros2.bridge import FIRST_RETRY_S, Bridge, write_line
@@ -331,14 +332,33 @@ def test_topic_of_the_daemon_is_requested_while_ros_2_has_a_subscriber() -> None
         world.node.ros2 = Ros2Graph(readers=frozenset({NOTE}))
         await asyncio.sleep(0.5)
         world.node.time = bytes(8)  # a message without a header has no stamp
-        world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"hello")))
-        world.host.raw[NOTE].send(SimpleNamespace(payload=b"\xff\xff"))
-        world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"again")))
+        world.host.raw[NOTE].send(RawMessage(text(b"hello"), 0))
+        world.host.raw[NOTE].send(RawMessage(b"\xff\xff", 0))
+        world.host.raw[NOTE].send(RawMessage(text(b"again"), 0))
         await asyncio.sleep(0.1)
         assert sent == [text_cdr(b"hello"), text_cdr(b"again")]
         await world.show()
         assert (world.host.raw, world.node.publishers) == ({}, {})
 
+    bridged(test)
+
+
+def test_cdr_of_a_type_without_a_definition_passes_to_ros_2_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test(world: World) -> None:
+        own = {**topic(is_published=True), "type": "my_msgs/Own", "encoding": "cdr"}
+        world.node.ros2 = Ros2Graph(readers=frozenset({NOTE}))
+        await world.show(topics=[own])
+        world.node.time = bytes(8)
+        world.host.raw[NOTE].send(RawMessage(b"\0\1\0\0x", 0, "cdr"))
+        world.host.raw[NOTE].send(RawMessage(b"of another type", 0))
+        await asyncio.sleep(0.1)
+        assert world.node.publishers[NOTE][1] == [b"\0\1\0\0x"]
+        await world.show(topics=[{**own, "type": "other_msgs/Own"}])
+        assert (world.host.raw, world.node.publishers) == ({}, {})
+        assert "other_msgs/msg/Own is not installed here" in world.reports[-1]
+
+    monkeypatch.setitem(sys.modules, "my_msgs", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "my_msgs.msg", SimpleNamespace(Own=object))
     bridged(test)
 
 
@@ -349,7 +369,7 @@ def test_topic_of_ros_2_reaches_the_daemon_without_echoes_and_malformed_messages
         await world.show(topics=[topic(is_published=True, is_subscribed=True)])
         assert world.host.advertised == {NOTE: True}
         assert world.node.qos[NOTE][1]
-        world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"mine")))
+        world.host.raw[NOTE].send(RawMessage(text(b"mine"), 0))
         await asyncio.sleep(0.1)
         for data in (text_cdr(b"mine"), b"\0\1", text_cdr(b"theirs")):
             world.node.subscriptions[NOTE](data)

@@ -121,3 +121,12 @@ def test_services_go_both_ways_and_none_of_a_node_s_own() -> None:
         Server("/robot_0/lock", "std_srvs/Trigger"),
         Caller("/add", "example_interfaces/srv/AddTwoInts"),
     }
+
+
+def test_cdr_of_a_type_without_a_definition_is_published_and_not_received() -> None:
+    own = {**topic("/own", "my_msgs/Own", published=True, subscribed=True), "encoding": "cdr"}
+    ros2 = Ros2Graph(publishers={"/own": (Ros2Publisher("my_msgs/msg/Own", RELIABLE),)}, readers=frozenset({"/own"}))
+    publication = PublicationRoute("/own", "my_msgs/Own", is_latched=False, is_cdr=True)
+    plan = planned(graph(own), ros2)
+    assert plan.routes == {publication, Feed(publication)}
+    assert plan.problems == ("/own: my_msgs/Own has no definition here: it is not received from ROS 2",)

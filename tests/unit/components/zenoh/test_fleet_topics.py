@@ -11,8 +11,10 @@ from hostlink.components.zenoh.roster import FleetRoster, Neighbour
 from hostlink.components.zenoh.session import ZenohSession
 from hostlink.core.config import Config
 from hostlink.core.hub.hub import Hub
+from hostlink.core.messages.serialisation import CDR, ROS1
 from tests.support.fake_device import CATALOG
 from tests.support.hosts import host_in
+from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.remote_robots import RecordingHosts, remote_robot
 from tests.support.virtual_loop import virtual
@@ -23,8 +25,9 @@ ROBOT, PLAN, SCAN = "robot_7", "/robot_7/plan", "/robot_7/scan"
 class World:
     """A daemon that knows a robot of another one."""
 
-    def __init__(self) -> None:
-        self.hub, self.counts, self.network = Hub(Config(), CATALOG, reraises=True), Counter[str](), MemoryNetwork()
+    def __init__(self, hub: Hub | None = None) -> None:
+        self.hub = hub or Hub(Config(), CATALOG, reraises=True)
+        self.counts, self.network = Counter[str](), MemoryNetwork()
         session = cast("ZenohSession", MemorySession(self.network, "1a"))
         transport = FleetTransport(session, Keys("fleet"), Sender("lab", "1a"), self.counts)
         roster = FleetRoster(self.counts)
@@ -95,3 +98,25 @@ async def test_robot_at_another_daemon_has_its_topics_anew() -> None:
     assert world.published() == {PLAN}
     world.topics.hide(ROBOT)
     assert world.published() == set()
+
+
+def test_cdr_of_a_type_without_a_definition_is_not_shared() -> None:
+    """The other daemon may have the definition, and would take the bytes for those of ROS 1."""
+
+    async def test(here: MemoryHub) -> None:
+        world = World(here.hub)
+        world.topics.begin()
+        device = await here.connect()
+        for name, encoding in (("/robot_0/talk", CDR), ("/robot_0/own", ROS1)):
+            here.hub.topics.advertise(name, "device", type_name="my_msgs/Own", raw_encoding=encoding)
+        await asyncio.sleep(0.5)
+        shared = {topic.name for topic, _ in world.topics._here.values()}
+        assert shared >= {"/robot_0/odometry", "/robot_0/own"}
+        assert "/robot_0/talk" not in shared
+        (line,) = here.logged("fleet.topic_refused")
+        reason = "my_msgs/Own has no definition here, its messages are cdr"
+        assert (line["topic"], line["reason"]) == ("/robot_0/talk", reason)
+        world.topics.end()
+        await device.aclose()
+
+    in_hub(test)

@@ -2,12 +2,14 @@
 
 import pytest
 
+from hostlink.core.hub.graph_view import graph_topic
 from hostlink.core.hub.message import Message
 from hostlink.core.hub.topic import DeviceSubscription, Subscriber
 from hostlink.core.hub.topic_graph import TopicGraph
 from hostlink.core.messages.catalog import Catalog
+from hostlink.core.messages.serialisation import CDR, ROS1
 from hostlink.errors import FrameTooLarge, UnknownTopic, WrongType
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import run_virtual, virtual
 
 CATALOG = Catalog()
 LINK, OTHER_LINK = "link 1", "link 2"
@@ -152,3 +154,43 @@ def test_a_topic_has_one_type_and_one_that_names_none_accepts_it() -> None:
     assert graph.advertise("/a", LINK, type_name="").type_name == BOOL
     with pytest.raises(WrongType, match=STRING):
         graph.subscribe("/a", Program(STRING).subscriber)
+
+
+# -- types without a definition ---------------------------------------------------------------------------------------
+
+OWN = "my_msgs/Own"  # without a definition
+
+
+@virtual
+async def test_messages_of_a_type_without_a_definition_have_the_encoding_of_their_device() -> None:
+    graph, found = TopicGraph(CATALOG), list[tuple[str, bytes]]()
+    early = Subscriber(lambda message: found.append((message.encoding, message.payload)), "early", OWN, found.append)
+    graph.subscribe("/a", early)
+    graph.subscribe_device("/a", OTHER_LINK, device(), type_name=OWN, raw_encoding=CDR)
+    topic = graph.advertise("/a", LINK, type_name=OWN, raw_encoding=CDR, is_latched=True)
+    topic.publish(b"1", source=LINK)
+    topic.deliver(b"2", source=LINK, at_s=0.0)
+    graph.subscribe("/a", early._replace(key="late"))
+    assert found == [(CDR, b"1"), (CDR, b"2"), (CDR, b"2")]
+    seen = graph_topic(topic, "")
+    assert seen is not None
+    assert seen.encoding == CDR
+    graph.leave(LINK)
+    graph.leave(OTHER_LINK)
+    assert (topic.type_name, topic.encoding) == (OWN, ROS1)
+
+
+def test_devices_that_serialise_an_unknown_type_in_different_ways_do_not_share_a_topic() -> None:
+    graph = TopicGraph(CATALOG)
+    graph.advertise("/a", LINK, type_name=OWN, raw_encoding=CDR)
+    with pytest.raises(WrongType, match="/a: wanted my_msgs/Own as cdr, got my_msgs/Own as ros1"):
+        graph.subscribe_device("/a", OTHER_LINK, device(), type_name=OWN)
+    with pytest.raises(WrongType, match="/a: wanted my_msgs/Own, got my_msgs/Other"):
+        graph.subscribe_device("/a", OTHER_LINK, device(), type_name="my_msgs/Other", raw_encoding=CDR)
+
+
+def test_type_with_a_definition_is_that_of_ros_1_from_every_device() -> None:
+    graph = TopicGraph(CATALOG)
+    topic = graph.advertise("/a", LINK, type_name=BOOL, raw_encoding=CDR)
+    graph.subscribe_device("/a", OTHER_LINK, device(), type_name=BOOL)
+    assert topic.encoding == ROS1

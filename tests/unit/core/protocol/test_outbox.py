@@ -128,6 +128,16 @@ def test_drop_messages_keeps_lasting_replies() -> None:
     assert drain(outbox) == [encode(6, b"parameter")]
 
 
+def test_drop_topic_drops_velocity_and_commands_of_this_topic_alone() -> None:
+    outbox = Outbox(CONTROL_FRAMES)
+    for topic_id in (100, 101):
+        outbox.put_urgent(topic_id, encode(topic_id, b"velocity"))
+        outbox.put_command(topic_id, encode(topic_id, b"command"))
+    outbox.drop_topic(101)
+    outbox.drop_topic(102)
+    assert drain(outbox) == [encode(100, b"velocity"), encode(100, b"command")]
+
+
 @given(
     st.lists(st.tuples(st.floats(0.0, 0.2), st.integers(8, 200)), min_size=1, max_size=60),
     st.integers(960, 11520),

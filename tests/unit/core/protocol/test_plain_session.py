@@ -1,5 +1,6 @@
 """A session of a protocol that overrides what it must: what a device has then, and what is not known of it."""
 
+from hostlink.core.messages.serialisation import ROS1
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.link_evidence import JUDGED_S, LinkEvidence, Tally
 from hostlink.core.protocol.session import DeviceSession
@@ -42,6 +43,7 @@ def test_endpoint_that_is_announced_may_still_be_there_and_no_other() -> None:
     session = announced()
     assert [session.may_have(each) for each in session.topics] == [True] * len(session.topics)
     assert not session.may_have(OTHER)
+    assert session.raw_encoding == ROS1
 
 
 def test_payload_beyond_the_room_of_an_endpoint_is_named_with_both_sizes() -> None:

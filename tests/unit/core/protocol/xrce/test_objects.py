@@ -194,6 +194,24 @@ def test_reader_has_the_names_of_its_topic_also_after_the_topic_was_deleted() ->
     assert objects.name_and_type(reader) == ("/cmd_vel", "geometry_msgs/Twist")
 
 
+STAMPED_1 = made(TOPIC, board.topic("rt/cmd_vel", "geometry_msgs::msg::dds_::TwistStamped_"))
+
+
+@pytest.mark.parametrize("is_deleted", [False, True])
+def test_reader_has_the_type_of_its_topic_also_after_the_topic_has_another(*, is_deleted: bool) -> None:
+    objects = table(NODE_1, TOPIC_1, SUBSCRIBER_1, READER_1)
+    if is_deleted:
+        objects.delete(TOPIC)
+    assert objects.create(STAMPED_1, REUSE | REPLACE) == Status.OK
+    assert objects.create(READER_1, REUSE | REPLACE) == Status.MATCHED
+    (reader,) = objects.endpoints()
+    assert objects.name_and_type(reader) == ("/cmd_vel", "geometry_msgs/TwistStamped")
+    again = table()
+    for each in objects.by_id.values():  # as after a restart of the host
+        assert again.create(each, 0) == Status.OK
+    assert again.by_id == objects.by_id
+
+
 def test_deleted_object_takes_those_below_it_along() -> None:
     objects = table(NODE_1, TOPIC_1, SUBSCRIBER_1, READER_1)
     assert objects.delete(SUBSCRIBER) == Status.OK

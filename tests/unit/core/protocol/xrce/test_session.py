@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.core.messages.catalog import Catalog
-from hostlink.core.messages.cdr import cdr_of
+from hostlink.core.messages.cdr import ENCAPSULATION, cdr_of
+from hostlink.core.messages.serialisation import CDR
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
@@ -430,7 +431,7 @@ def test_objects_by_xml_and_reference_are_shown() -> None:
     client.publish_best_effort(0x15, b"raw bytes")
     here.do(client.listen(0.1))
     (received,) = of_kind(here, events.MessageReceived)
-    assert received.payload == b"raw bytes"  # type: ignore[attr-defined]
+    assert received.payload == ENCAPSULATION + b"raw bytes"  # type: ignore[attr-defined]
 
 
 def test_type_that_ros_2_has_changed_is_refused() -> None:
@@ -531,6 +532,67 @@ def test_published_message_completes_the_announcement() -> None:
 
     here.do(begin())
     assert [type(event) for _, event in here.found] == [events.TopicsNegotiated, events.MessageReceived]
+
+
+INT32, STAMPED = "std_msgs::msg::dds_::Int32_", "geometry_msgs::msg::dds_::TwistStamped_"
+CHATTER, CMD_VEL, VELOCITY_SUBSCRIBER = 0x02, 0x12, 0x04
+
+
+def changed(here: World, id_: int, topic: int, name: str, type_: str, *, is_deleted: bool, with_endpoint: bool) -> None:
+    """Give a topic another type, as the stock library does with its flags; or delete all first."""
+    group = NODE_PUBLISHER if id_ & 0xF == WRITER else VELOCITY_SUBSCRIBER
+    if is_deleted:
+        for each in (id_, topic):
+            assert here.do(here.client.delete(each)) == 0
+    assert here.do(here.client.create(topic, board.topic(name, type_), 1)) == 0
+    if with_endpoint or is_deleted:
+        assert here.do(here.client.create(id_, board.endpoint(topic, is_reader=id_ & 0xF == READER), group)) in {0, 1}
+
+
+CHANGES = pytest.mark.parametrize(("is_deleted", "with_endpoint"), [(True, True), (False, True), (False, False)])
+
+
+@CHANGES
+def test_topic_of_a_writer_that_changes_its_type_is_announced_anew(*, is_deleted: bool, with_endpoint: bool) -> None:
+    here = connected()
+    here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "a"})))
+    changed(here, WRITER, CHATTER, "rt/chatter", INT32, is_deleted=is_deleted, with_endpoint=with_endpoint)
+    here.do(here.client.publish(WRITER, struct.pack("<i", 7)))
+    here.run(here.now_s + 2 * QUIET_S)
+    first, second = of_kind(here, events.TopicsNegotiated)
+    assert second.is_changed  # type: ignore[attr-defined]
+    types = [[each.type for each in one.topics if each.name == "/chatter"] for one in (first, second)]  # type: ignore[attr-defined]
+    assert types == [["std_msgs/String"], ["std_msgs/Int32"]]
+    received = [(each.topic.type, each.payload) for each in of_kind(here, events.MessageReceived)]  # type: ignore[attr-defined]
+    assert received == [("std_msgs/String", b"\1\0\0\0a"), ("std_msgs/Int32", struct.pack("<i", 7))]
+
+
+@CHANGES
+def test_reader_that_changes_its_type_gets_nothing_of_the_type_before(*, is_deleted: bool, with_endpoint: bool) -> None:
+    """A TwistStamped that is read as a Twist would be a velocity of any size."""
+    here = connected()
+    velocity = here.session.endpoint_of("/cmd_vel", ZERO)
+    assert here.session.send_zero(velocity, ZERO)
+    here.session.publish("/cmd_vel", ZERO)
+    assert here.session.outbox.has_urgent
+    changed(here, READER, CMD_VEL, "rt/cmd_vel", STAMPED, is_deleted=is_deleted, with_endpoint=with_endpoint)
+    here.client.read_data(READER)
+    here.do(here.client.confirm(0.05))
+    before = len(taken(here, READER))
+    assert not here.session.outbox.has_urgent
+    assert not here.session.has(velocity)
+    assert not here.session.may_have(velocity)
+    assert not here.session.send_zero(velocity, ZERO)
+    with pytest.raises(UnknownTopic, match="created it again with another name or type, which is announced within a"):
+        here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.run(here.now_s + 2 * QUIET_S)
+    now = next(each for each in here.session.topics if each.name == "/cmd_vel")
+    assert (now.type, here.session.has(now)) == ("geometry_msgs/TwistStamped", True)
+    assert not here.session.may_have(velocity)
+    here.run(here.now_s + 1.0)
+    assert len(taken(here, READER)) == before  # no zero is repeated
+    with pytest.raises(WrongType):
+        here.session.publish("/cmd_vel", VELOCITY[:-1], is_urgent=True)
 
 
 # -- messages ---------------------------------------------------------------------------------------------------------
@@ -1909,3 +1971,58 @@ def test_unfinished_messages_are_counted_and_can_be_dropped() -> None:
     assert here.session.kept_bytes == before
     here.session.drop_unfinished()
     assert here.session.kept_bytes == before
+
+
+# -- types without a definition ---------------------------------------------------------------------------------------
+
+
+OWN = "my_package::msg::dds_::Own_"
+
+
+def test_message_of_an_unknown_type_is_cdr_with_its_encapsulation_in_both_directions() -> None:
+    here = world()
+    client = here.client
+    here.do(client.connect())
+    for id_, content, parent in (
+        (0x01, board.participant("n"), 0),
+        (0x02, board.topic("rt/own", OWN), 1),
+        (0x03, b"\0\0", 1),
+        (WRITER, board.endpoint(0x02, is_reader=False), 3),
+        (0x04, b"\0\0", 1),
+        (READER, board.endpoint(0x02, is_reader=True), 4),
+    ):
+        assert here.do(client.create(id_, content, parent)) == 0
+    client.read_data(READER)
+    here.do(client.publish(WRITER, b"as it is"))
+    (received,) = of_kind(here, events.MessageReceived)
+    assert (here.session.raw_encoding, received.payload) == (CDR, ENCAPSULATION + b"as it is")  # type: ignore[attr-defined]
+    here.session.publish("/own", ENCAPSULATION + b"to it")
+    here.write()
+    here.do(client.listen(0.1))
+    assert taken(here, READER) == [b"to it"]
+    with pytest.raises(WrongType, match="4 bytes: my_package/Own: the payload begins with 726f7331, little-endian CDR"):
+        here.session.publish("/own", b"ros1")
+
+
+def test_zero_of_an_endpoint_before_the_last_announcement_has_the_layout_of_its_type() -> None:
+    here = world()
+    here.do(here.client.connect())
+    for id_, content, parent in (
+        (0x01, board.participant("n"), 0),
+        (0x02, board.topic("rt/cmd_vel", STAMPED), 1),
+        (0x04, b"\0\0", 1),
+        (READER, board.endpoint(0x02, is_reader=True), 4),
+    ):
+        assert here.do(here.client.create(id_, content, parent)) == 0
+    here.run(here.now_s + 2 * QUIET_S)
+    (endpoint,) = here.session.topics
+    here.do(here.client.delete(READER))
+    here.run(here.now_s + 2 * QUIET_S)
+    assert here.session.topics == ()
+    stamped = CATALOG.message("geometry_msgs/TwistStamped")
+    assert stamped is not None
+    zero = stamped.encode({"header": {"seq": 7, "frame_id": "base"}})
+    assert here.session.send_zero(endpoint, zero)
+    here.write()
+    here.do(here.client.listen(0.1))
+    assert taken(here, READER)[0] == cdr_of(stamped).from_ros1(zero)
