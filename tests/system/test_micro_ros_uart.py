@@ -25,6 +25,7 @@ from tests.support.xrce_board import TWIST
 from tests.support.xrce_device import UartDevice, stock, uart_board
 from tests.system.test_micro_ros import ROBOT, commanded, moves, stands, takes
 from tests.system.test_micro_ros_guardian import (
+    HANG_LIMIT_S,
     KILL_LIMIT_S,
     KILLS,
     WAITS_S,
@@ -115,6 +116,26 @@ async def test_board_of_a_killed_daemon_takes_a_zero_on_a_line_with_a_pace(line:
             await expect_never(lambda: is_moving(device), for_s=0.5)
     print("taken after", [f"{1000 * each:.0f} ms" for each in taken_s])  # noqa: T201
     assert max(taken_s) <= KILL_LIMIT_S + 2 * line.turn_s, taken_s
+
+
+async def test_board_of_a_stopped_daemon_takes_a_zero_and_is_driven_again_on_a_line_with_a_pace() -> None:
+    async with driving(FAST) as (daemon, device):
+        began_s, watch = time.monotonic(), Stopwatch(*guardians_of(daemon))
+        os.kill(daemon.pid, signal.SIGSTOP)
+        try:
+            async with meanwhile(watch.sampling()):
+                await expect(lambda: not is_moving(device), timeout_s=HANG_LIMIT_S + WAITS_S)
+            taken_s = stood_after_s(device, began_s)
+            await expect_never(lambda: is_moving(device), for_s=0.5)
+        finally:
+            os.kill(daemon.pid, signal.SIGCONT)
+        print(f"taken after {1000 * taken_s:.0f} ms")  # noqa: T201
+        assert taken_s - watch.kept_s <= HANG_LIMIT_S
+        continued_s = time.monotonic()
+        async with commanded(daemon):
+            await takes(device, moves, continued_s)
+        await expect(lambda: any(each.is_done and each.at_s > continued_s for each in device.stock.published))
+        assert len(daemon.lines("link.closed")) == 1  # of rosserial, before the board was found
 
 
 class RosserialBoard(OriginalDevice):
