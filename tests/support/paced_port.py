@@ -37,6 +37,7 @@ class PacedPort:
     def plugged(self, board: BoardUart, on_arrival: Callable[[], None] = lambda: None) -> Iterator[None]:
         """Connect a board for the length of the block. `on_arrival` is called when bytes have arrived at its UART."""
         self._board, self._on_arrival = board, on_arrival
+        self._set_rates(board)
         try:
             yield
         finally:
@@ -58,9 +59,8 @@ class PacedPort:
         if board is None:
             self._read(65536)
             return
+        self._set_rates(board)
         to_board, to_host = board.from_host, board.to_host
-        to_board.baud = to_host.read_baud = self.host_baud
-        to_board.read_baud = to_host.baud
         room_s = now_s + AHEAD_S - to_board.free_at_s
         if room_s > 0 and (data := self._read(1 + int(min(room_s, AHEAD_S) / to_board.byte_s))):
             self.arrived.append((now_s, data))
@@ -71,6 +71,10 @@ class PacedPort:
         next_s = to_board.next_arrival_s()
         if next_s is not None and next_s <= now_s:
             self._on_arrival()
+
+    def _set_rates(self, board: BoardUart) -> None:
+        board.from_host.baud = board.to_host.read_baud = self.host_baud
+        board.from_host.read_baud = board.to_host.baud
 
     def _read(self, limit: int) -> bytes:
         try:
