@@ -14,7 +14,7 @@ from hostlink.core.protocol.events import Parameter
 from hostlink.core.protocol.rosserial.control import Log, decode_parameter, encode_topic_info
 from hostlink.core.protocol.rosserial.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Id, encode
 from tests.support.device_codec import decode_time, encode_log, encode_parameter_request
-from tests.support.uart import Uart
+from tests.support.uart import BoardUart
 
 # All of the original library (docs/protocol.md#timing).
 FRAME_TIMEOUT_MS = 20
@@ -43,7 +43,7 @@ class DeviceCrashed(Exception):
     """The host sent a frame that writes outside the device's memory."""
 
 
-class OriginalDevice:
+class OriginalDevice(BoardUart):
     """One device on a UART. Its endpoints get the ids that the original library gives them.
 
     | mode              | byte                          | next                                             |
@@ -63,8 +63,7 @@ class OriginalDevice:
         retries: bool = True,
     ) -> None:
         """`retries`: with the paper's retry clause."""
-        self.from_host = Uart(baud=baud)
-        self.to_host = Uart(baud=baud, ring_bytes=1 << 30)  # the ESP8266 reads at once
+        super().__init__(baud=baud)
         self.is_configured = False
         self.dropped_frames = 0
         self.frames = 0

@@ -15,7 +15,11 @@ from hostlink.core.messages.message_type import MessageType
 from hostlink.core.runtime.cancellation import meanwhile
 from hostlink.core.runtime.loop_time import loop_time_s
 from tests.support import xrce_board as board
+from tests.support.paced_port import PacedPort
+from tests.support.uart import RING_BYTES, BoardUart
 from tests.support.waiting import expect
+
+TX_BYTES = 64  # of an Arduino's buffer in front of its UART: Serial.write blocks while it is full
 
 
 def cdr(type_name: str, values: dict[str, Any]) -> bytes:
@@ -81,6 +85,54 @@ class Device:
         """Wait until it has created everything, and publishes."""
         await expect(lambda: self.stock.published or self.stock.failed_at)
         assert not self.stock.failed_at
+
+
+class UartDevice(Device):
+    """A board on a serial line with a pace. Its program does not read while it writes, or does something else.
+
+    What arrives meanwhile is in the ring. A program that reads takes one message, and leaves the rest there.
+    """
+
+    def __init__(self, program: Any, uart: BoardUart) -> None:
+        super().__init__(program, self._write, board.Serial())
+        self.uart = uart
+
+    def arrive(self) -> None:
+        """Let a program read that waits for bytes."""
+        self._came.set()
+
+    def _write(self, data: bytes) -> None:
+        self.uart.to_host.send(data, loop_time_s())
+
+    async def _wait(self, until_s: float) -> bytes | None:
+        line = self.uart.to_host
+        await self._pause(line.free_at_s - TX_BYTES * line.byte_s)
+        if until_s < 0:
+            await self._pause(-until_s)
+            return None
+        while not self._read():
+            self._came.clear()
+            left_s = until_s - loop_time_s()
+            if left_s <= 0:
+                return None
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(left_s):
+                    await self._came.wait()
+        return self._inbox.popleft()
+
+    async def _pause(self, until_s: float) -> None:
+        """Read nothing until then. A machine that is late loses nothing: the ring is as full as it was then."""
+        left_s = until_s - loop_time_s()
+        if left_s > 0:
+            await asyncio.sleep(left_s)
+            self.uart.from_host.settle(until_s)
+
+    def _read(self) -> bool:
+        """Read bytes to the end of a message. Return whether there is one."""
+        now_s = loop_time_s()
+        while not self._inbox and (byte := self.uart.from_host.take(now_s)) is not None:
+            self.receive(bytes((byte,)))
+        return bool(self._inbox)
 
 
 def stock(*, key: bytes = b"\1\2\3\4", **how: bool | float) -> board.Stock:
@@ -154,6 +206,17 @@ async def serial_board(descriptor: int, program: board.Stock | None = None) -> A
     device = Device(program or stock(), send, board.Serial())
     async with _running(device, descriptor, read):
         yield device
+
+
+@contextlib.asynccontextmanager
+async def uart_board(
+    port: PacedPort, program: Any = None, *, baud: int, ring_bytes: int = RING_BYTES
+) -> AsyncIterator[UartDevice]:
+    """A board at a port with the pace of its line."""
+    device = UartDevice(program or stock(), BoardUart(baud=baud, ring_bytes=ring_bytes))
+    with port.plugged(device.uart, device.arrive):
+        async with meanwhile(("board", device.run())):
+            yield device
 
 
 @contextlib.asynccontextmanager

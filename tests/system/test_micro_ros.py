@@ -22,7 +22,7 @@ ROBOT = "linorobot_base_node"
 
 
 @contextlib.asynccontextmanager
-async def commanded(host: Process, speed: float = 0.2) -> AsyncIterator[list[float]]:
+async def commanded(host: Process, speed: float = 0.2, *, robot: str = ROBOT) -> AsyncIterator[list[float]]:
     """A program that commands the robot twenty times a second, also while the daemon is not there.
 
     It sends a zero when its command is refused, as after a reconnection of the device. Yields the times of those that
@@ -35,7 +35,7 @@ async def commanded(host: Process, speed: float = 0.2) -> AsyncIterator[list[flo
         async with aiohttp.ClientSession() as session:
             while True:
                 with contextlib.suppress(aiohttp.ClientError):
-                    url = f"{host.url}/api/robots/{ROBOT}/velocity"
+                    url = f"{host.url}/api/robots/{robot}/velocity"
                     wanted = 0.0 if is_refused else speed
                     async with session.put(url, json={"linear": wanted, "angular": 0}) as response:
                         is_refused = response.status == 409

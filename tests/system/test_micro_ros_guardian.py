@@ -19,7 +19,7 @@ from tests.support.process import Process, serve
 from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect, expect_never
-from tests.support.xrce_device import Device, serial_board, stock, udp_board
+from tests.support.xrce_device import Device, serial_board, stock, tcp_board, udp_board
 
 pytestmark = pytest.mark.quiet
 KILLS = 4
@@ -27,6 +27,8 @@ KILL_LIMIT_S = 0.15
 HANG_LIMIT_S = 1.5  # one second without a beat, and what a busy machine adds
 COMMAND_S = 0.02
 WAITS_S = 3.0  # a board that has taken no zero by then moves on
+
+Drive = Callable[[], contextlib.AbstractAsyncContextManager[tuple[Process, list[Device]]]]
 
 
 @contextlib.asynccontextmanager
@@ -74,6 +76,16 @@ async def driving_on_wire() -> AsyncIterator[tuple[Process, list[Device]]]:
             yield daemon, [device]
 
 
+@contextlib.asynccontextmanager
+async def driving_over_tcp() -> AsyncIterator[tuple[Process, list[Device]]]:
+    """A board with a TCP connection that moves when the block begins."""
+    async with serve("--micro-ros", "tcp://127.0.0.1:0") as daemon:
+        (url,) = daemon.lines("daemon.started")[0]["micro_ros"]
+        host, _, port = url.removeprefix("tcp://").rpartition(":")
+        async with tcp_board((host, int(port)), stock(keeps=4)) as device, moving(daemon, [device]):
+            yield daemon, [device]
+
+
 async def _command(socket: aiohttp.ClientWebSocketResponse, names: list[str]) -> None:
     with contextlib.suppress(ConnectionError):  # the daemon has ended
         for name in itertools.cycle(names):
@@ -103,9 +115,7 @@ async def test_board_on_a_serial_port_of_a_killed_daemon_takes_a_zero_while_it_p
     await check_kills(driving_on_wire)
 
 
-async def check_kills(
-    drive: Callable[[], contextlib.AbstractAsyncContextManager[tuple[Process, list[Device]]]],
-) -> None:
+async def check_kills(drive: Drive) -> None:
     """Kill daemons at drawn times. Check when the boards take a zero, and that they stand afterwards."""
     dice, taken_s = random.Random(1), []
     for _ in range(KILLS):
@@ -131,8 +141,9 @@ async def test_board_with_a_bad_radio_of_a_killed_daemon_stands() -> None:
             await expect_never(lambda: is_moving(device), for_s=0.5)
 
 
-async def test_board_of_a_stopped_daemon_stands_and_is_driven_again_afterwards() -> None:
-    async with driving(stock(keeps=4)) as (daemon, (device,)):
+@pytest.mark.parametrize("drive", [lambda: driving(stock(keeps=4)), driving_over_tcp, driving_on_wire])
+async def test_board_of_a_stopped_daemon_stands_while_it_publishes(drive: Drive) -> None:
+    async with drive() as (daemon, (device,)):
         began_s = time.monotonic()
         os.kill(daemon.pid, signal.SIGSTOP)
         try:

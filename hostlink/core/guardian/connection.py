@@ -29,13 +29,15 @@ class GuardedConnection:
 
     | call              | while the daemon        | writes                      | reads       | closes     |
     |-------------------|-------------------------|-----------------------------|-------------|------------|
-    | `hold`, repeated  | hangs, and may recover  | zeros                       | nothing (1) | never      |
+    | `hold`, repeated  | hangs, and may recover  | zeros                       | (1)         | never      |
     | `step`, repeated  | is gone                 | zeros, then the end         | everything  | at the end |
 
     A device that waits until what it sends is acknowledged reads no zero before. While the daemon is gone, its
     `Acknowledger` answers what is read, and the zeros follow each answer.
 
-    (1) Over UDP what such a device sends is looked at and answered, and stays for the daemon to read.
+    (1) What such a device sends is answered. Over UDP and TCP it is looked at, and stays for the daemon. A serial port
+    cannot be looked at: it is read, and the daemon misses it. Otherwise the device would wait for seconds for each
+    velocity that it has before the zero. From other devices nothing is read.
     """
 
     def __init__(self, descriptor: int, stop: StopFrames) -> None:
@@ -51,6 +53,7 @@ class GuardedConnection:
         self._acknowledger: _Acknowledger | None = None  # a new one each time: it knows numbers of that time
         self._writer = StopWriter(stop, part_bytes=self._part_bytes)
         self._holding = self._writer  # used by `hold`
+        self._looked_bytes = 0  # of the stream of a TCP connection, by `hold`
         self._is_readable = True  # until the end of the stream was read
         self._is_begun = self._is_finished = False
 
@@ -66,7 +69,9 @@ class GuardedConnection:
     def begin_hold(self) -> None:
         """Start the zeros for a daemon that hangs."""
         self._holding = StopWriter(self._stop, has_end=False, part_bytes=self._part_bytes)
-        self._acknowledger = self._acknowledgers.make() if self._is_udp and _peeks(self.descriptor) else None
+        self._looked_bytes = 0
+        has_answers = not self._is_udp or _peeks(self.descriptor)
+        self._acknowledger = self._acknowledgers.make() if has_answers else None
 
     def hold(self, now_s: float) -> float | None:
         """Write the zeros that are due `now_s` after `begin_hold`, as far as there is room. Return when to call again.
@@ -84,11 +89,24 @@ class GuardedConnection:
         return now_s if is_polled else self._holding.next_s()
 
     def _look(self, acknowledger: "_Acknowledger") -> None:
-        """Answer the datagrams that wait for the daemon, and leave them there."""
+        """Answer what waits for the daemon. It stays there, but on a serial port."""
+        if self._is_serial:
+            os.set_blocking(self.descriptor, False)
+            try:
+                received = os.read(self.descriptor, READ_BYTES)
+            except BlockingIOError:
+                received = b""
+            self._holding.answer(acknowledger.receive(received))
+            return
         connection, answers = _socket.socket(fileno=self.descriptor), list[bytes]()
         try:
-            for _ in range(PEEKED):
-                answers += acknowledger.receive(connection.recv(READ_BYTES, _PEEK))
+            if self._is_udp:
+                for _ in range(PEEKED):
+                    answers += acknowledger.receive(connection.recv(READ_BYTES, _PEEK))
+            else:  # each look at a stream begins with its first byte
+                waiting = connection.recv(READ_BYTES, _PEEK)
+                answers += acknowledger.receive(waiting[self._looked_bytes :])
+                self._looked_bytes = len(waiting)
         except OSError:
             pass  # no more wait, or an error of an earlier datagram
         connection.detach()
