@@ -48,7 +48,8 @@ REPEATS_AFTER: Final = 12  # zeros after the answer to one
 REPEAT_GROWTH: Final = 1.3  # of the pause between these, so that they last for 3.7 s at least
 SILENT_S: Final = 0.15  # a board that publishes was silent for longer: it hung, and has not read meanwhile
 STALE_S: Final = 1.0  # a velocity may wait for so long on a board that reads
-IN_FLIGHT_S: Final = 0.5  # a velocity that is not answered until then was lost
+IN_FLIGHT_S: Final = 0.5  # a velocity that is not answered until then was lost, at the latest
+LOST_MIN_S: Final = 0.15  # the same at the earliest, and after two of the slowest round trips
 SLOWEST_DECAY: Final = 0.8  # of the slowest of the last round trips, with each one
 LOOP_SHARE: Final = 0.15  # of the period of a publisher: a slower round trip shows that its loop has this period
 PACE: Final = 1.15  # periods between two velocities: the places of the middleware that are taken become free
@@ -573,7 +574,8 @@ class XrceClient:
 
     def note_flying(self, mark: int, now_s: float) -> None:
         """Note that a velocity with a HEARTBEAT was sent to a slow board."""
-        self.flying_mark, self.flying_until_s = mark, now_s + IN_FLIGHT_S
+        lost_s = min(max(2 * self.slow_round_trip_s, LOST_MIN_S), IN_FLIGHT_S)
+        self.flying_mark, self.flying_until_s = mark, now_s + lost_s
 
     def note_answered(self, mark: int, now_s: float) -> None:
         """Note that the client has read what was sent with this mark, and before."""

@@ -15,7 +15,7 @@ from hostlink.core.messages.serialisation import CDR
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
-from hostlink.core.protocol.xrce.client import IN_FLIGHT_S, REPEATS_AFTER, WAITING_MAX
+from hostlink.core.protocol.xrce.client import IN_FLIGHT_S, LOST_MIN_S, REPEATS_AFTER, WAITING_MAX
 from hostlink.core.protocol.xrce.evidence import STORED_PAUSE_S
 from hostlink.core.protocol.xrce.framing import DatagramFraming
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP, Xrce
@@ -1189,9 +1189,17 @@ def test_answer_to_what_was_sent_before_a_velocity_does_not_show_that_it_was_rea
     client.note_velocity_sent(1.0)
     client.note_flying(7, 1.0)
     client.note_answered(6, 1.01)
-    assert client.flying_until_s == 1.0 + IN_FLIGHT_S
+    assert client.flying_until_s == 1.0 + LOST_MIN_S
     client.note_answered(7, 1.01)
     assert client.flying_until_s == 1.0 + client.slow_round_trip_s
+
+
+@pytest.mark.parametrize(("slow_s", "lost_s"), [(0.0, LOST_MIN_S), (0.05, LOST_MIN_S), (0.2, 0.4), (0.4, IN_FLIGHT_S)])
+def test_unanswered_velocity_is_lost_after_two_of_the_slowest_round_trips(slow_s: float, lost_s: float) -> None:
+    client = connected().session._clients[0x81, b""]
+    client.slow_round_trip_s = slow_s
+    client.note_flying(7, 1.0)
+    assert client.flying_until_s == pytest.approx(1.0 + lost_s)
 
 
 def test_zero_is_not_repeated_for_ever_or_after_a_new_velocity() -> None:
