@@ -935,9 +935,14 @@ class XrceSession(DeviceSession):
         if now_s - client.heard_s < GONE_S:
             return False
         return any(
-            each.created_s > client.created_s and (each.session == client.session or each.info.key == client.info.key)
+            each.created_s > client.created_s
+            and (each.session == client.session or each.info.key == client.info.key or _is_likewise(each, client))
             for each in self._clients.values()
         )
+
+    def _is_overtaken(self, client: XrceClient) -> bool:
+        """Whether a client was silent since another one was created, which may be the same board after a restart."""
+        return any(each.created_s > client.heard_s for each in self._clients.values())
 
     def _delete_client(self, client: XrceClient | None) -> None:
         if client is not None:
@@ -1124,7 +1129,8 @@ class XrceSession(DeviceSession):
             found.append(events.TopicsNegotiated(self._known, is_changed, gap_at=None))
 
     def _endpoints(self) -> Iterable[DeviceEndpoint]:
-        for client in self._clients.values():
+        """Return the endpoints of all clients. Of two with one name the first one is used: that of a live client."""
+        for client in sorted(self._clients.values(), key=self._is_overtaken):
             if client.is_confirmed and not client.is_over:
                 client.is_announced = True
                 for each in client.objects.endpoints():
@@ -1394,6 +1400,12 @@ def _id_key(info: ClientInfo) -> bytes:
 
 def _heard_s(client: XrceClient) -> float:
     return client.heard_s
+
+
+def _is_likewise(one: XrceClient, other: XrceClient) -> bool:
+    """Whether two clients have an endpoint of one kind and name, as before and after a restart of a board."""
+    names = {(each.kind, each.name) for each in one.objects.endpoints()}
+    return any((each.kind, each.name) in names for each in other.objects.endpoints())
 
 
 def _measured_s(client: XrceClient) -> float:

@@ -22,6 +22,7 @@ from hostlink.core.protocol.xrce.resume import SessionState
 from hostlink.core.protocol.xrce.session import (
     CALLS_MAX,
     CLIENTS_MAX,
+    GONE_S,
     KEEPALIVE_S,
     LATE_CREATION_S,
     QUIET_S,
@@ -359,6 +360,48 @@ def test_board_that_restarts_with_another_session_replaces_itself() -> None:
     here.run(here.now_s + 5.0)
     assert [key[0] for key in here.session._clients] == [0x90]
     assert len(here.session.topics) == 7
+
+
+@pytest.mark.parametrize(("key", "session"), [(KEY, 0x82), (b"new!", 0x82)])
+@pytest.mark.parametrize(
+    ("protocol", "transport"),
+    [(MICRO_ROS_UDP, board.Datagrams), (MICRO_ROS_TCP, board.Lengths), (MICRO_ROS_SERIAL, board.Serial)],
+)
+def test_board_that_restarts_with_another_session_and_key_takes_velocities_at_once(
+    protocol: Xrce, transport: type[board.Datagrams], key: bytes, session: int
+) -> None:
+    link = Link(Random(1), delay_s=(0.001, 0.001))
+    here = World(protocol.resumed(CATALOG, ""), idle(), Client(key=KEY), link, transport())
+    assert here.do(here.client.connect())
+    here.do(creations(here.client))
+    here.run(here.now_s + 2 * QUIET_S)
+    again = Client(key=key, session=session)
+    here.restart_board(again, idle())
+    assert here.do(again.connect(attempts=1))
+    here.do(creations(again))
+    here.run(here.now_s + 2 * QUIET_S)
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.write()
+    here.do(again.listen(0.1))
+    assert taken(here, READER) == [VELOCITY]
+    here.run(here.now_s + GONE_S + 2 * KEEPALIVE_S)
+    assert [each.session for each in here.session._clients.values()] == [session]
+    assert len(here.session.topics) == 7
+
+
+def test_client_that_is_heard_keeps_its_names_when_a_second_one_has_the_same() -> None:
+    here = connected()
+    first, second = here.client, Client(key=b"also", session=0x82)
+    here.session.receive(second.creation(), now_s=here.now_s)
+    here.client = second
+    assert here.do(second.connect())
+    here.do(creations(second))
+    first.send(0, 0, sub(board.ACKNACK, struct.pack("<HHB", first.last_handled + 1 & 0xFFFF, 0, 0x80)))
+    here.session.receive(first.sent.pop(), now_s=here.now_s)
+    here.run(here.now_s + 2 * QUIET_S)
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.write()
+    assert here.frames[-1][1][0] == first.session
 
 
 def test_call_that_waits_for_a_board_that_restarts_is_forgotten() -> None:
