@@ -11,7 +11,7 @@ from functools import partial
 from typing import Final
 
 from hostlink.core.protocol import events
-from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind, to_device_key
 from hostlink.core.protocol.events import Parameter
 from hostlink.core.protocol.link_evidence import Explain
 from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
@@ -238,6 +238,7 @@ class XrceSession(DeviceSession):
                     continue
             if now_s >= client.heartbeat_s:
                 self._put(client.due_heartbeat(now_s))
+                self._note_tried(client, found)
             elif now_s >= client.silent_at_s(KEEPALIVE_S):
                 if self._is_replaced(client, now_s):
                     self._remove(client)
@@ -1086,6 +1087,7 @@ class XrceSession(DeviceSession):
             self._refute(client)
             return
         again, mark = client.acknowledge(told, now_s)
+        self._note_tried(client, found)
         self.quality.resent += len(again)
         for each in again:
             client.note_provoked(now_s)
@@ -1188,14 +1190,16 @@ class XrceSession(DeviceSession):
                 continue
             data = encode_data(reading.request, id_, waiting[0])
             bodies = client.bodies(data) if reading.stream >= RELIABLE else []
-            if len(bodies) > output.window and output.is_waiting:
+            is_tried = len(bodies) > output.proven
+            if is_tried and (output.is_waiting or client.waiting):
                 continue
             content = waiting.popleft()
             if not waiting:
                 del client.samples[id_]
             reading.note_sent(len(content), now_s)
-            if len(bodies) > output.window:
+            if is_tried:
                 output.begin_trial(bodies)
+                client.tried_sample = id_, content
                 self._put(client.tried(now_s))
                 client.plan_heartbeat(now_s)
             elif bodies:
@@ -1205,6 +1209,23 @@ class XrceSession(DeviceSession):
                 self.outbox.put_command(endpoint_id(client.slot, id_), message, depth=WAITING_MAX)
             return True
         return False
+
+    def _note_tried(self, client: XrceClient, found: list[events.Event]) -> None:
+        """Note the end of a trial. Report the message if it is dropped because the client's history does not hold it.
+
+        Longer ones are refused from now on, before they are queued.
+        """
+        if client.tried_sample is None or client.output.trial() is not None:
+            return
+        id_, content = client.tried_sample
+        client.tried_sample = None
+        endpoint = self._by_key.get(to_device_key(endpoint_id(client.slot, id_)))
+        room_bytes = client.room_bytes(id_) - REQUEST_BYTES
+        if endpoint is None or len(content) <= room_bytes:
+            return
+        error = self._too_large(endpoint, len(content), room_bytes)
+        if kind_of(id_) == ObjectKind.REPLIER:
+            found.append(events.ResponseRefused(endpoint, error, content[:SAMPLE_IDENTITY_BYTES]))
 
     def _put_sample(self, client: XrceClient, endpoint: DeviceEndpoint, content: bytes) -> None:
         """Queue a request or a response. None replaces another."""

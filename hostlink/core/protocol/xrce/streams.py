@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from hostlink.core.protocol.xrce.wire import NUMBERS, RELIABLE, Range, distance, number_after
+from hostlink.core.protocol.xrce.wire import LAST_FRAGMENT, NUMBERS, RELIABLE, Kind, Range, distance, number_after
 
 WINDOW: Final = 16  # messages that an ACKNACK's bitmap can name
 HISTORY: Final = 4  # messages that a client takes out of order: micro-ROS keeps four, other clients at least as many
@@ -266,12 +266,14 @@ class ReliableOutput:
         "_odd_at",
         "_tried",
         "_unacked",
+        "announced",
         "first",
         "is_known",
         "is_new",
         "limit",
         "next",
         "passed",
+        "proven",
         "refused",
         "resent",
         "stream",
@@ -282,10 +284,14 @@ class ReliableOutput:
         """`is_known`: the client expects `first`. Otherwise it is an earlier number, and the client will tell."""
         self.stream, self.window = stream, HISTORY
         self.limit = WINDOW  # fragments of a message that the client may keep
+        self.proven = 1  # fragments of a message that it keeps for sure
         self.passed: list[bytes] = []  # fragments that it keeps as a whole
         self.refused = 0  # messages that it cannot keep
         self._tried: list[bytes] = []
         self.first = self.next = first
+        # First fragment of the message that is not acknowledged as a whole. A client forgets the fragments that it
+        # keeps when a HEARTBEAT begins behind them.
+        self.announced = first
         self.is_known = is_known
         self.is_new = False  # of a new client, which expects 0: other numbers are of its session before
         self.resent = 0
@@ -322,8 +328,10 @@ class ReliableOutput:
         self._odd = 0
         self.is_new = self.is_new and not acked
         for _ in range(acked):
-            self._unacked.popleft()
-        self.first = told.first
+            body = self._unacked.popleft().body
+            self.first = number_after(self.first)
+            if body[0] != Kind.FRAGMENT or body[1] & LAST_FRAGMENT:
+                self.announced = self.first
         if self._tried and told.second:
             self.end_trial(is_kept=told.second == (1 << len(self._tried) - 1) - 1)
         missing = [place for place in range(len(self._unacked)) if told.second >> place & 1]
@@ -351,13 +359,18 @@ class ReliableOutput:
         """Return the number and the body of the fragment that is tried; None if there is none."""
         return (number_after(self.next, len(self._tried) - 1), self._tried[-1]) if self._tried else None
 
-    def end_trial(self, *, is_kept: bool) -> None:
-        """End a trial. The fragments are `passed` if the client keeps the last one, and its limit is known if not."""
+    def end_trial(self, *, is_kept: bool, is_told: bool = True) -> None:
+        """End a trial. The fragments are `passed` if the client keeps the last one, and its limit is known if not.
+
+        `is_told`: the client has told it. Otherwise the message is dropped, and the next one is tried again.
+        """
         if is_kept:
-            self.passed, self.window = self._tried, len(self._tried)
+            self.passed, self.proven = self._tried, len(self._tried)
+            self.window = max(self.window, self.proven)
         elif self._tried:
-            self.limit = min(self.limit, len(self._tried) - 1)
             self.refused += 1
+            if is_told:
+                self.limit = min(self.limit, len(self._tried) - 1)
         self._tried = []
 
     def _repeat(self, sent: _Sent, now_s: float) -> bytes:
@@ -373,6 +386,6 @@ class ReliableOutput:
             return False
         self._odd = 0
         self.is_known = True
-        self.first = first
+        self.first = self.announced = first
         self.next = number_after(first, len(self._unacked))
         return True

@@ -17,7 +17,7 @@ from hostlink.core.protocol.xrce.streams import (
     ReliableInput,
     ReliableOutput,
 )
-from hostlink.core.protocol.xrce.wire import NUMBERS, RELIABLE, Range, number_after
+from hostlink.core.protocol.xrce.wire import LAST_FRAGMENT, LITTLE, NUMBERS, RELIABLE, Kind, Range, number_after
 
 
 def body(number: int) -> bytes:
@@ -201,6 +201,25 @@ def test_message_that_the_history_of_the_client_does_not_hold_is_refused_and_its
     stream.acknowledge(ack(0, 0b111111), 1.0, older_than_s=0.1)
     assert (stream.passed, stream.window, stream.limit, stream.refused) == ([], HISTORY, 5, 1)
     assert (stream.trial(), stream.put(b"next", 1.0)) == (None, 0)
+
+
+def test_heartbeat_begins_at_a_message_of_which_the_client_keeps_only_some_fragments() -> None:
+    part, last = bytes((Kind.FRAGMENT, LITTLE, 1, 0, 1)), bytes((Kind.FRAGMENT, LITTLE | LAST_FRAGMENT, 1, 0, 1))
+    output = ReliableOutput()
+    announced = []
+    for each in (b"whole", part, part, last):
+        output.put(each, 0.0)
+    for first in (1, 2, 3, 4):
+        output.acknowledge(Range(first, 0, RELIABLE), 0.0, older_than_s=0.0)
+        announced.append((output.first, output.announced))
+    assert announced == [(1, 1), (2, 1), (3, 1), (4, 4)]
+
+
+def test_trial_that_is_not_answered_shows_no_limit() -> None:
+    output = ReliableOutput()
+    output.begin_trial([b"1", b"2"])
+    output.end_trial(is_kept=False, is_told=False)
+    assert (output.refused, output.limit, output.trial()) == (1, WINDOW, None)
 
 
 def test_trial_ends_when_the_stream_moves() -> None:
