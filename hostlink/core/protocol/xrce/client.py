@@ -173,7 +173,7 @@ class XrceClient:
         self.unfit: set[int] = set()  # objects whose messages are not of their type
         self.put_s = float("-inf")  # last reliable message to it
         self._stored_sent = 0
-        self.created_s = self.heard_s = now_s
+        self.created_s = self.asked_s = self.heard_s = now_s  # asked_s: of its last CREATE_CLIENT
         self.round_trip_s = FIRST_ROUND_TRIP_S
         self.least_round_trip_s = float("inf")
         self.slow_round_trip_s = 0.0  # slowest of the last ones
@@ -181,6 +181,7 @@ class XrceClient:
         self.acknacks = 0
         self.has_answered = False  # a HEARTBEAT
         self.is_reset_due = False  # it was created again, or a datagram came twice: its next number tells
+        self.has_told_little = False  # since then: a number that may be of either session
         self.mark = 0  # of the last thing that the client answers
         self.reset_streams(now_s)
 
@@ -469,7 +470,7 @@ class XrceClient:
         self.heartbeat_s = now_s + min(pause_s, HEARTBEAT_MAX_S)
 
     def due_heartbeat(self, now_s: float) -> bytes:
-        """Return the message that makes the client tell what it has, and plan the next one.
+        """Return the message that makes the client tell what it has, and plan the next one; empty: none may be sent.
 
         Where its expected number is unknown, it is an earlier one, which the client drops and answers. Another client
         that expects just this one takes it, and must not expect the stored number then.
@@ -478,6 +479,8 @@ class XrceClient:
         if self.heartbeats > (TRIED_MAX if self.has_answered else UNANSWERED_MAX):
             self.output.end_trial(is_kept=False, is_told=not self.has_answered)
         self.plan_heartbeat(now_s)
+        if self.is_reset_due:
+            return b""  # another session would count from what it tells
         if self.output.trial() is not None:
             return self.tried(now_s)
         if self.output.is_known:
@@ -577,7 +580,7 @@ class XrceClient:
     def due_messages(self, now_s: float) -> list[bytes]:
         """Return the reliable messages that may be sent now."""
         found: list[bytes] = []
-        while self.waiting and self.output.has_room:
+        while self.waiting and self.output.has_room and not self.is_reset_due:
             body = self.waiting.popleft()
             found.append(self.message(RELIABLE, body, self.output.put(body, now_s)))
             self.note_provoked(now_s)

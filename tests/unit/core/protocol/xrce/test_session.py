@@ -1,5 +1,6 @@
 """XrceSession: clients, objects, messages, services, time, flow control. A stock client plays in virtual time."""
 
+import contextlib
 import itertools
 import math
 import struct
@@ -1175,6 +1176,67 @@ def test_late_creation_of_a_session_that_continues_stops_no_acknowledgement() ->
     here.do(here.client.confirm(0.05))
     here.link.loss = 0.0
     assert here.do(here.client.confirm(1.0))
+
+
+def begun_again(*, after_s: float) -> World:
+    """A board with a text on its way that restarts with its key. It has not created anything."""
+    here = connected()
+    here.run(here.now_s + after_s)
+    here.link.loss = 1.0
+    here.session.publish("/words", struct.pack("<I", 3) + b"old")
+    here.write()
+    here.link.loss = 0.0
+    here.client = Client(key=KEY)
+    here.restart_board(here.client, idle())
+    assert here.do(here.client.connect(attempts=1))
+    return here
+
+
+@pytest.mark.parametrize("after_s", [0.0, 3.0])
+def test_board_that_restarts_with_its_key_gets_no_message_of_its_session_before(after_s: float) -> None:
+    here = begun_again(after_s=after_s)
+    here.client.send(0, 0, sub(board.ACKNACK, struct.pack("<HHB", 0, 0xFFFF, 0x80)))
+    here._to_host(here.client.sent.pop())
+    here.session.probe()
+    here.session.send_zero(here.session._known[1], ZERO)
+    with contextlib.suppress(UnknownTopic):  # it is announced only if it may be the same session
+        here.session.publish("/words", struct.pack("<I", 3) + b"two")
+    here.write()
+    here.run(here.now_s + 0.3)
+    here.do(creations(here.client))
+    here.run(here.now_s + 2 * QUIET_S)
+    here.session.publish("/words", struct.pack("<I", 3) + b"new")
+    here.write()
+    here.run(here.now_s + 1.0)
+    assert [text_of(each) for each in taken(here, 0x16)][-1:] == ["new"]
+    assert "old" not in [text_of(each) for each in taken(here, 0x16)]
+    assert here.client.old_acknacks == 0
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_first_messages_of_a_board_that_restarts_are_lost_and_sent_again(lost: int) -> None:
+    here = begun_again(after_s=0.0)
+    client = here.client
+    for _ in range(4):
+        client.put(client.creating(0x01, board.participant("/ns/base"), 0)[1])
+    sent, client.sent = client.sent[lost:], []
+    for each in sent:
+        here._to_host(each)
+    here.do(client.listen(0.05))
+    assert client.old_acknacks == 0
+    assert here.do(client.confirm(2.0))  # the client of the test asserts that each number was sent
+    assert here.session.quality.restarts == 1
+
+
+def test_board_that_restarts_and_falls_silent_has_begun_anew() -> None:
+    here = begun_again(after_s=0.0)
+    client = here.client
+    for _ in range(2):
+        client.put(client.creating(0x01, board.participant("/ns/base"), 0)[1])
+    here._to_host(client.sent[1])
+    client.sent = []
+    here.run(here.now_s + 2 * KEEPALIVE_S)
+    assert here.session.quality.restarts == 1
 
 
 @pytest.mark.parametrize("key", [KEY, b"\5\6\7\x08"])

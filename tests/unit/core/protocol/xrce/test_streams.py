@@ -9,6 +9,7 @@ from hostlink.core.protocol.xrce.streams import (
     GIVEN_UP_S,
     HELD_BYTES_MAX,
     HISTORY,
+    LATE_S,
     MESSAGE_BYTES_MAX,
     REPEATS,
     WINDOW,
@@ -215,6 +216,16 @@ def test_heartbeat_begins_at_a_message_of_which_the_client_keeps_only_some_fragm
     assert announced == [(1, 1), (2, 1), (3, 1), (4, 4)]
 
 
+def test_late_answer_to_a_longer_trial_decides_no_shorter_one() -> None:
+    stream = tried(6)
+    stream.acknowledge(ack(0, 0b111111), 1.0, older_than_s=0.1)
+    stream.begin_trial([b"1", b"2"], 1.0)
+    stream.acknowledge(ack(0, 0b111111), 1.1, older_than_s=0.1)  # of before the trial
+    assert stream.trial() == (1, b"2")
+    stream.acknowledge(ack(0, 0b111101), 1.0 + LATE_S, older_than_s=0.1)
+    assert (stream.passed, stream.proven, stream.limit) == ([b"1", b"2"], 2, 5)
+
+
 def test_trial_that_is_not_answered_shows_no_limit() -> None:
     output = ReliableOutput()
     output.begin_trial([b"1", b"2"])
@@ -224,8 +235,8 @@ def test_trial_that_is_not_answered_shows_no_limit() -> None:
 
 def test_trial_ends_when_the_stream_moves() -> None:
     stream = tried(6)
-    for _ in range(REPEATS):
-        stream.acknowledge(ack(900), 1.0, older_than_s=0.1)
+    for number in range(REPEATS):
+        stream.acknowledge(ack(900), 1.0 + number, older_than_s=0.1)
     assert (stream.trial(), stream.first) == (None, 900)
 
 
@@ -233,10 +244,21 @@ def test_trial_ends_when_the_stream_moves() -> None:
 def test_number_that_does_not_fit_moves_the_stream_when_it_is_repeated(first: int) -> None:
     stream = ReliableOutput()
     stream.put(b"a", 0.0)
-    for _ in range(REPEATS - 1):
-        assert stream.acknowledge(ack(first), 1.0, older_than_s=0.1) == []
-    assert stream.acknowledge(ack(first), 1.0, older_than_s=0.1) == [(first % NUMBERS, b"a")]
+    for number in range(REPEATS - 1):
+        assert stream.acknowledge(ack(first), 1.0 + number, older_than_s=0.1) == []
+    assert stream.acknowledge(ack(first), float(REPEATS), older_than_s=0.1) == [(first % NUMBERS, b"a")]
     assert (stream.first, stream.next) == (first % NUMBERS, (first + 1) % NUMBERS)
+
+
+def test_late_acknowledgements_that_a_newer_one_has_overtaken_move_nothing() -> None:
+    stream = ReliableOutput()
+    for _ in range(3):
+        stream.put(b"a", 0.0)
+    stream.acknowledge(ack(3), 1.0, older_than_s=0.1)
+    stream.put(b"b", 1.0)
+    for _ in range(3 * REPEATS):
+        assert stream.acknowledge(ack(1), 1.0 + LATE_S / 2, older_than_s=0.1) == []
+    assert (stream.first, stream.next) == (3, 4)
 
 
 def test_numbers_that_differ_move_nothing() -> None:
