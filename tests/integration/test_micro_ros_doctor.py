@@ -5,10 +5,12 @@ import socket
 
 import pytest
 
+from hostlink.core.config import Config, MicroRosConfig, MicroRosUdpConfig
 from hostlink.core.link.serving import LinkEnd
 from hostlink.core.protocol import link_evidence
 from tests.integration.test_metrics import metrics
 from tests.integration.test_micro_ros import CONFIG, address_of, robot_of
+from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.waiting import expect
 from tests.support.xrce_board import WRITE, sub
@@ -53,6 +55,23 @@ async def test_board_in_the_session_of_its_agent_is_found_until_it_begins_one_he
         async with udp_board(address, stock()):
             await robot_of(host)
             assert (await host.get("/api/diagnosis"))["findings"] == []
+
+
+async def test_board_that_only_listens_at_an_unverified_address_is_found_with_the_setting_that_helps() -> None:
+    config = Config(micro_ros=MicroRosConfig(udp=MicroRosUdpConfig(port=0, trusted=())))
+    async with daemon(config) as host, udp_board(address_of(host, "udp"), stock(period_s=1e6)):
+        name, drive = await robot_of(host), b'{"linear": 0.2, "angular": 0}'
+
+        async def command() -> None:
+            while True:
+                await host.drive(name, drive)
+                await asyncio.sleep(0.02)
+
+        def found() -> set[str]:
+            return {each.code for each in host.hub.diagnoses.daemon_findings("")}
+
+        async with meanwhile(command()):
+            await expect(lambda: "address_unverified" in found())
 
 
 async def test_lost_messages_of_a_board_are_in_the_views() -> None:

@@ -11,9 +11,10 @@ RECENT_S = 60.0
 MAX_ARRIVALS = 16  # kept and shown; the oldest are dropped
 
 NOT_ROSSERIAL, NOT_MICRO_ROS = "not_rosserial", "not_micro_ros"
-OTHER_SESSION = "other_session"
+OTHER_SESSION, UNVERIFIED = "other_session", "unverified"
 _OF_NO_REFUSED_DEVICE = {NOT_ROSSERIAL, NOT_MICRO_ROS, OTHER_SESSION}  # of programs, or a finding of their own
 _MAX_NAMES = 3  # addresses in one text
+_MIN_UNSENT = 3  # a device that sends little while it introduces itself sends more later
 REFUSALS = {  # causes of docs/service.md, for people
     "not_allowed": "refused: its address is not in the allowed networks (tcp.allow, udp.allow)",
     "too_many_of_address": "refused: this address has too many connections",
@@ -23,7 +24,7 @@ REFUSALS = {  # causes of docs/service.md, for people
     "no_key": "refused: it did not prove the key",
     "wrong_key": "refused: it has another key",
     "too_fast": "refused: too many new UDP sessions in a second",
-    "unverified": "answered less than it needs: its UDP address is not verified",
+    UNVERIFIED: "answered less than it needs: its UDP address is not verified",
     "no_descriptor": "refused: no file descriptor is free",
     "unreachable": "refused: the network reports an error",
     NOT_ROSSERIAL: "sent UDP datagrams that are not rosserial",
@@ -117,7 +118,7 @@ def daemon_findings(
     `ports`: of serial ports that cannot be opened. `refused`: of the last minute. `own`: of the daemon's own parts.
     `is_connected`: whether a device is connected or was in the last minute. `listening`: where the daemon listens.
     """
-    devices = [*ports, *_other_sessions(refused)]
+    devices = [*ports, *_other_sessions(refused), *_unverified(refused)]
     if not devices and not is_connected:
         devices = [_no_device(refused, listening)]
     return [*devices, *own]
@@ -126,10 +127,23 @@ def daemon_findings(
 def _other_sessions(refused: Sequence[Arrival]) -> list[Finding]:
     """Return the finding of devices in a session that was not begun here, as the rule of a link has it."""
     sessions = [each for each in refused if each.cause == OTHER_SESSION]
-    details = [f"{each.peer}: {text}" for each in sessions if (text := explain_unknown(each.count, each.seconds))]
+    return _named(
+        "session_unknown",
+        [f"{each.peer}: {text}" for each in sessions if (text := explain_unknown(each.count, each.seconds))],
+    )
+
+
+def _unverified(refused: Sequence[Arrival]) -> list[Finding]:
+    """Return the finding of devices that are sent less than they need, because they send little themselves."""
+    limited = [each for each in refused if each.cause == UNVERIFIED and each.count >= _MIN_UNSENT]
+    return _named("address_unverified", [f"{each.peer}: {each.count} times" for each in limited])
+
+
+def _named(code: str, details: list[str]) -> list[Finding]:
+    """Return a finding that names the first few addresses; nothing if there are none."""
     more = len(details) - _MAX_NAMES
     text = "; ".join([*details[:_MAX_NAMES], *([f"and {more} more"] if more > 0 else [])])
-    return [finding("session_unknown", text)] if text else []
+    return [finding(code, text)] if text else []
 
 
 def _no_device(refused: Sequence[Arrival], listening: str) -> Finding:

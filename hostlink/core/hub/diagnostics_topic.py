@@ -32,7 +32,7 @@ WARNINGS = frozenset(  # the device works in spite of these; every other finding
         "clock_trouble", "damaged", "flashed_alike", "not_let_in", "odometry_jumps", "odometry_disagrees", "bad_stamp",
         "slash_frame", "zero_covariance", "odometry_unsent", "line_full", "no_reconnect", "too_many_endpoints",
         "best_effort_too_long", "message_too_long", "type_differs", "type_unknown", "types_by_reference",
-        "best_effort_lost", "messages_resent", "publishes_wait", "slow_loop",
+        "best_effort_lost", "messages_resent", "publishes_wait", "slow_loop", "address_unverified",
     }
 )  # fmt: skip
 

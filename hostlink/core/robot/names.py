@@ -27,6 +27,7 @@ from hostlink.core.robot.parts import Membership, place_in, takes_velocity
 SURE_S = 3.0  # docs/protocol.md#time: a live device requests the time every 2.5 s
 SOONEST_S = 0.5  # longer than the project's passthrough waits before it dials again: 0.2 s
 USUAL_GAPS = 5  # a radio makes one or two late, not five
+USUAL_PAUSES = 2  # a slow loop sends in bursts: the second longest of the last gaps, because one may be an outage
 ANSWER_S = 0.5  # a device answers a request for its topics in a turn of its loop, its line may be busy
 USUAL_ANSWERS = 3  # a device with a slow loop answers in its next turn
 _KEPT, _ENOUGH = 16, 8  # gaps; their median tolerates a few long ones
@@ -82,7 +83,9 @@ class Presence:
         """Whether this one, as it used to send, would have sent by now."""
         if len(self._gaps_s) < _ENOUGH:
             return False
-        return now_s - self.received_at_s >= max(SOONEST_S, USUAL_GAPS * median(self._gaps_s))
+        *_, pause_s, _ = sorted(self._gaps_s)
+        usual_s = max(SOONEST_S, USUAL_GAPS * median(self._gaps_s), USUAL_PAUSES * pause_s)
+        return now_s - self.received_at_s >= usual_s
 
 
 Key = TypeVar("Key")
@@ -441,7 +444,8 @@ class Directory:
     | and again 0.25 s later; or answers a request for its topics |                                                   |
     | that was sent since                                         |                                                   |
     | silent for 3 s: a live one requests the time every 2.5 s    | the same device: the new link replaces the old    |
-    | silent for 0.5 s and for five of its usual gaps             | the same device                                   |
+    | silent for 0.5 s and for five of its usual gaps, and for    | the same device                                   |
+    | twice as long as its second longest pause of late           |                                                   |
     | else                                                        | its topics are requested, the new one waits       |
     | silent after that for 0.5 s and for three times as long as  | the same device                                   |
     | its last answer took                                        |                                                   |

@@ -12,7 +12,7 @@ from typing import Final
 
 from hostlink.core.messages.serialisation import CDR
 from hostlink.core.protocol import events
-from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
+from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind, to_device_key
 from hostlink.core.protocol.events import Parameter
 from hostlink.core.protocol.link_evidence import Explain
 from hostlink.core.protocol.outbox import ControlFrames, Outbox, OutgoingFrame
@@ -239,11 +239,16 @@ class XrceSession(DeviceSession):
                     self._refute(client)
                     continue
             if now_s >= client.heartbeat_s:
-                self._put(client.due_heartbeat(now_s))
+                if heartbeat := client.due_heartbeat(now_s):
+                    self._put(heartbeat)
+                self._note_tried(client, found)
             elif now_s >= client.silent_at_s(KEEPALIVE_S):
                 if self._is_replaced(client, now_s):
                     self._remove(client)
                     continue
+                if client.is_reset_due and client.has_told_little:
+                    self._begin_anew(client)
+                client.is_reset_due = False  # it came late: a client that begins anew sends something
                 self._put(client.message(NO_STREAM, client.heartbeat(now_s)))
             if now_s >= client.repair_s and (repair := client.due_repair(now_s)):
                 self._put(client.message(NO_STREAM, repair))
@@ -455,7 +460,7 @@ class XrceSession(DeviceSession):
         """Ask something that a working board answers (TopicsAnswered), at most once a second."""
         now_s = self._now_s
         for client in self._clients.values():
-            if client.is_confirmed and now_s - client.probed_s >= KEEPALIVE_S:
+            if client.is_confirmed and not client.is_reset_due and now_s - client.probed_s >= KEEPALIVE_S:
                 self._put(client.message(NO_STREAM, client.heartbeat(now_s)))
                 self.device_clock.topics_requested(now_s)
 
@@ -738,7 +743,9 @@ class XrceSession(DeviceSession):
         if client.is_over:
             return
         if client.is_reset_due:
-            self._settle_reset(client, message, now_s)
+            self._settle_reset(client, message)
+            if client.is_reset_due:
+                return
         if stream < RELIABLE:
             lossy = client.lossy_input(stream)
             lost = -1 if lossy is None else lossy.lost_before(message.number)
@@ -850,11 +857,11 @@ class XrceSession(DeviceSession):
             if told.stream >= RELIABLE and client.is_refuted_by(told.stream, told.first, told.second):
                 self._refute(client)
                 return
+            if told.stream >= RELIABLE and client.is_reset_due:
+                self._settle_by_heartbeat(client, told)
             reliable = client.input(told.stream) if told.stream >= RELIABLE else None
             if reliable is not None:
                 self.quality.waits += 1
-                if client.is_reset_due and told.first and abs(distance(reliable.next, told.second)) <= WINDOW:
-                    client.is_reset_due = False  # a late CREATE_CLIENT: the session is the same
                 bodies = reliable.heartbeat(told.first, told.second)
                 self._read_bodies(client, reliable, bodies, found, is_asked=True)
         elif kind == Kind.READ_DATA and (wanted := decode_read(submessage)) is not None:
@@ -911,8 +918,15 @@ class XrceSession(DeviceSession):
             known.is_confirmed = True
             known.reset_streams(self._now_s)
             self._announce_s = self._now_s + QUIET_S
-        known.info = info
-        known.is_reset_due = bool(known.inputs or known.lossy_inputs or known.output.next)
+        known.info, known.mtu = info, min(info.mtu, self._framing.limit_bytes)
+        may_be_late = self._now_s - known.asked_s < LATE_CREATION_S
+        known.asked_s = self._now_s
+        if not (known.inputs or known.lossy_inputs or known.output.next):
+            return
+        if may_be_late:
+            known.is_reset_due, known.has_told_little = True, False
+        else:
+            self._begin_anew(known)
 
     def _is_late(self, info: ClientInfo) -> bool:
         """Whether a CREATE_CLIENT is a late datagram of the session before."""
@@ -956,9 +970,14 @@ class XrceSession(DeviceSession):
         if now_s - client.heard_s < GONE_S:
             return False
         return any(
-            each.created_s > client.created_s and (each.session == client.session or each.info.key == client.info.key)
+            each.created_s > client.created_s
+            and (each.session == client.session or each.info.key == client.info.key or _is_likewise(each, client))
             for each in self._clients.values()
         )
+
+    def _is_overtaken(self, client: XrceClient) -> bool:
+        """Whether a client was silent since another one was created, which may be the same board after a restart."""
+        return any(each.created_s > client.heard_s for each in self._clients.values())
 
     def _delete_client(self, client: XrceClient | None) -> None:
         if client is not None:
@@ -976,18 +995,36 @@ class XrceSession(DeviceSession):
         for each in [each for each in self._calls if each >> SLOT_SHIFT == client.slot]:
             del self._calls[each]
 
-    def _settle_reset(self, client: XrceClient, message: Message, now_s: float) -> None:
-        """Decide by the first number after a repeated CREATE_CLIENT whether the client began a new session."""
-        client.is_reset_due = False
+    def _settle_reset(self, client: XrceClient, message: Message) -> None:
+        """Decide by a number after a repeated CREATE_CLIENT whether the client began a new session.
+
+        A small number may be of either, and is dropped. A client repeats what is not acknowledged.
+        """
         reliable = client.inputs.get(message.stream)
         if message.number == 0 or (reliable is not None and abs(distance(reliable.next, message.number)) > WINDOW):
-            client.reset_streams(now_s)
-            client.drop_calls()
-            client.is_announced = False
-            self.quality.restarts += 1
-            self.outbox.drop_messages()
-            self._is_restarted = True
-            self._announce_s = now_s + QUIET_S
+            self._begin_anew(client)
+        elif message.number > WINDOW:
+            client.is_reset_due = False
+        else:
+            client.has_told_little = True
+
+    def _settle_by_heartbeat(self, client: XrceClient, told: Range) -> None:
+        """Decide by a HEARTBEAT: a client that has begun anew has no acknowledgement, and has sent little."""
+        reliable = client.inputs.get(told.stream)
+        if reliable is not None and -1 <= distance(reliable.next, told.second) <= WINDOW:
+            client.is_reset_due = False  # a late CREATE_CLIENT: the session is the same
+        elif not told.first:
+            self._begin_anew(client)
+
+    def _begin_anew(self, client: XrceClient) -> None:
+        """Begin a new session of a client: it has its objects, and awaits nothing of the session before."""
+        client.reset_streams(self._now_s)
+        client.drop_calls()
+        client.is_announced = False
+        self.quality.restarts += 1
+        self.outbox.drop_messages()
+        self._is_restarted = True
+        self._announce_s = self._now_s + QUIET_S
 
     # -- what a client requests and sends -----------------------------------------------------------------------------
 
@@ -1097,11 +1134,14 @@ class XrceSession(DeviceSession):
 
     def _take_acknack(self, client: XrceClient, told: Range, found: list[events.Event]) -> None:
         now_s = self._now_s
+        if client.is_reset_due:
+            return  # it may be of the session before
         evidence = client.evidence
         if evidence is not None and not client.output.is_known and not evidence.fits_acknack(told.first, now_s):
             self._refute(client)
             return
         again, mark = client.acknowledge(told, now_s)
+        self._note_tried(client, found)
         self.quality.resent += len(again)
         for each in again:
             client.note_provoked(now_s)
@@ -1145,7 +1185,8 @@ class XrceSession(DeviceSession):
             found.append(events.TopicsNegotiated(self._known, is_changed, gap_at=None))
 
     def _endpoints(self) -> Iterable[DeviceEndpoint]:
-        for client in self._clients.values():
+        """Return the endpoints of all clients. Of two with one name the first one is used: that of a live client."""
+        for client in sorted(self._clients.values(), key=self._is_overtaken):
             if client.is_confirmed and not client.is_over:
                 client.is_announced = True
                 for each in client.objects.endpoints():
@@ -1201,16 +1242,20 @@ class XrceSession(DeviceSession):
             output = client.output
             if reading.stream >= RELIABLE and not output.has_room:
                 continue
+            if reading.stream >= RELIABLE and client.is_reset_due:
+                continue
             data = encode_data(reading.request, id_, waiting[0])
             bodies = client.bodies(data) if reading.stream >= RELIABLE else []
-            if len(bodies) > output.window and output.is_waiting:
+            is_tried = len(bodies) > output.proven
+            if is_tried and (output.is_waiting or client.waiting):
                 continue
             content = waiting.popleft()
             if not waiting:
                 del client.samples[id_]
             reading.note_sent(len(content), now_s)
-            if len(bodies) > output.window:
-                output.begin_trial(bodies)
+            if is_tried:
+                output.begin_trial(bodies, now_s)
+                client.tried_sample = id_, content
                 self._put(client.tried(now_s))
                 client.plan_heartbeat(now_s)
             elif bodies:
@@ -1220,6 +1265,23 @@ class XrceSession(DeviceSession):
                 self.outbox.put_command(endpoint_id(client.slot, id_), message, depth=WAITING_MAX)
             return True
         return False
+
+    def _note_tried(self, client: XrceClient, found: list[events.Event]) -> None:
+        """Note the end of a trial. Report the message if it is dropped because the client's history does not hold it.
+
+        Longer ones are refused from now on, before they are queued.
+        """
+        if client.tried_sample is None or client.output.trial() is not None:
+            return
+        id_, content = client.tried_sample
+        client.tried_sample = None
+        endpoint = self._by_key.get(to_device_key(endpoint_id(client.slot, id_)))
+        room_bytes = client.room_bytes(id_) - REQUEST_BYTES
+        if endpoint is None or len(content) <= room_bytes:
+            return
+        error = self._too_large(endpoint, len(content), room_bytes)
+        if kind_of(id_) == ObjectKind.REPLIER:
+            found.append(events.ResponseRefused(endpoint, error, content[:SAMPLE_IDENTITY_BYTES]))
 
     def _put_sample(self, client: XrceClient, endpoint: DeviceEndpoint, content: bytes) -> None:
         """Queue a request or a response. None replaces another."""
@@ -1280,6 +1342,7 @@ class XrceSession(DeviceSession):
         if (
             room_bytes >= EXTRA_BYTES
             and client.output.is_known
+            and not client.is_reset_due
             and (zeros or client.is_slow or client.is_probe_due(now_s))
         ):
             parts.append(client.heartbeat(now_s))
@@ -1415,6 +1478,12 @@ def _id_key(info: ClientInfo) -> bytes:
 
 def _heard_s(client: XrceClient) -> float:
     return client.heard_s
+
+
+def _is_likewise(one: XrceClient, other: XrceClient) -> bool:
+    """Whether two clients have an endpoint of one kind and name, as before and after a restart of a board."""
+    names = {(each.kind, each.name) for each in one.objects.endpoints()}
+    return any((each.kind, each.name) in names for each in other.objects.endpoints())
 
 
 def _measured_s(client: XrceClient) -> float:

@@ -9,13 +9,14 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from hostlink.core.protocol.xrce.wire import NUMBERS, RELIABLE, Range, distance, number_after
+from hostlink.core.protocol.xrce.wire import LAST_FRAGMENT, NUMBERS, RELIABLE, Kind, Range, distance, number_after
 
 WINDOW: Final = 16  # messages that an ACKNACK's bitmap can name
 HISTORY: Final = 4  # messages that a client takes out of order: micro-ROS keeps four, other clients at least as many
 REPEATS: Final = 3
 ASKED_MAX: Final = 6  # at a loss of 20 % each way, one answer in 460 is lost as often
 GIVEN_UP_S: Final = 0.25
+LATE_S: Final = 0.5  # ACKNACKs that newer ones have overtaken arrive until then
 MESSAGE_BYTES_MAX: Final = 1024 * 1024  # one message from fragments; the limit of messages between programs
 HELD_BYTES_MAX: Final = 4 * 65536  # messages that wait for one before them: a client's history of the largest MTU
 
@@ -262,16 +263,21 @@ class ReliableOutput:
     """Stream of messages that the host repeats until the client acknowledges them. At most `window` wait for that."""
 
     __slots__ = (
+        "_judged_s",
         "_odd",
         "_odd_at",
+        "_odd_since_s",
+        "_refused_to",
         "_tried",
         "_unacked",
+        "announced",
         "first",
         "is_known",
         "is_new",
         "limit",
         "next",
         "passed",
+        "proven",
         "refused",
         "resent",
         "stream",
@@ -282,16 +288,23 @@ class ReliableOutput:
         """`is_known`: the client expects `first`. Otherwise it is an earlier number, and the client will tell."""
         self.stream, self.window = stream, HISTORY
         self.limit = WINDOW  # fragments of a message that the client may keep
+        self.proven = 1  # fragments of a message that it keeps for sure
         self.passed: list[bytes] = []  # fragments that it keeps as a whole
         self.refused = 0  # messages that it cannot keep
+        self._refused_to = -1  # behind the last number of a refused one, of which the client tells
+        self._judged_s = float("-inf")  # when the answer to a trial counts
         self._tried: list[bytes] = []
         self.first = self.next = first
+        # First fragment of the message that is not acknowledged as a whole. A client forgets the fragments that it
+        # keeps when a HEARTBEAT begins behind them.
+        self.announced = first
         self.is_known = is_known
         self.is_new = False  # of a new client, which expects 0: other numbers are of its session before
         self.resent = 0
         self._unacked: deque[_Sent] = deque()
         self._odd = 0
         self._odd_at = -1
+        self._odd_since_s = 0.0
 
     @property
     def has_room(self) -> bool:
@@ -314,18 +327,20 @@ class ReliableOutput:
         """Note an ACKNACK. Return what to send again, by its number: what was last sent before `older_than_s`."""
         acked = distance(self.first, told.first)
         if not self.is_known or not 0 <= acked <= len(self._unacked):
-            if self.is_new or not self._is_moved(told.first):
+            if self.is_new or not self._is_moved(told.first, now_s):
                 return []
             self.end_trial(is_kept=False)
             again = [(number_after(self.first, place), sent) for place, sent in enumerate(self._unacked)]
             return [(number, self._repeat(sent, now_s)) for number, sent in again]
-        self._odd = 0
+        self._odd, self._odd_at = 0, -1
         self.is_new = self.is_new and not acked
         for _ in range(acked):
-            self._unacked.popleft()
-        self.first = told.first
-        if self._tried and told.second:
-            self.end_trial(is_kept=told.second == (1 << len(self._tried) - 1) - 1)
+            body = self._unacked.popleft().body
+            self.first = number_after(self.first)
+            if body[0] != Kind.FRAGMENT or body[1] & LAST_FRAGMENT:
+                self.announced = self.first
+        if self._tried and told.second and now_s >= self._judged_s:
+            self.end_trial(is_kept=not told.second >> len(self._tried) - 1 & 1)
         missing = [place for place in range(len(self._unacked)) if told.second >> place & 1]
         due = [(place, self._unacked[place]) for place in missing if self._unacked[place].at_s <= now_s - older_than_s]
         return [(number_after(self.first, place), self._repeat(sent, now_s)) for place, sent in due]
@@ -339,25 +354,34 @@ class ReliableOutput:
 
     # -- messages that may be longer than the client's history ---------------------------------------------------------
 
-    def begin_trial(self, bodies: list[bytes]) -> None:
+    def begin_trial(self, bodies: list[bytes], now_s: float = 0.0) -> None:
         """Try whether the client keeps as many messages as this one has fragments. Call it when nothing is waited for.
 
         A client whose history is shorter would never take the message, and no other one after it. So the last fragment
         is sent first: the ACKNACK says whether the client keeps it. If not, its number is free for another message.
+        After an earlier trial the client tells of the numbers of that one, too: only a later ACKNACK answers this one.
         """
         self._tried = bodies
+        is_clear = self._refused_to < 0 or distance(self.next, self._refused_to) < 0
+        self._judged_s = float("-inf") if is_clear else now_s + LATE_S
 
     def trial(self) -> tuple[int, bytes] | None:
         """Return the number and the body of the fragment that is tried; None if there is none."""
         return (number_after(self.next, len(self._tried) - 1), self._tried[-1]) if self._tried else None
 
-    def end_trial(self, *, is_kept: bool) -> None:
-        """End a trial. The fragments are `passed` if the client keeps the last one, and its limit is known if not."""
+    def end_trial(self, *, is_kept: bool, is_told: bool = True) -> None:
+        """End a trial. The fragments are `passed` if the client keeps the last one, and its limit is known if not.
+
+        `is_told`: the client has told it. Otherwise the message is dropped, and the next one is tried again.
+        """
         if is_kept:
-            self.passed, self.window = self._tried, len(self._tried)
+            self.passed, self.proven = self._tried, len(self._tried)
+            self.window = max(self.window, self.proven)
         elif self._tried:
-            self.limit = min(self.limit, len(self._tried) - 1)
             self.refused += 1
+            self._refused_to = number_after(self.next, WINDOW)
+            if is_told:
+                self.limit = min(self.limit, len(self._tried) - 1)
         self._tried = []
 
     def _repeat(self, sent: _Sent, now_s: float) -> bytes:
@@ -365,14 +389,18 @@ class ReliableOutput:
         self.resent += 1
         return sent.body
 
-    def _is_moved(self, first: int) -> bool:
-        """Note a number that does not fit. Return whether the stream continues there from now on."""
-        self._odd = self._odd + 1 if first == self._odd_at else 1
-        self._odd_at = first
-        if self.is_known and self._odd < REPEATS:
+    def _is_moved(self, first: int, now_s: float) -> bool:
+        """Note a number that does not fit. Return whether the stream continues there from now on.
+
+        An earlier number that is told again and again may be that of late ACKNACKs. A message would arrive twice then.
+        """
+        if first != self._odd_at:
+            self._odd, self._odd_since_s = 0, now_s
+        self._odd, self._odd_at = self._odd + 1, first
+        if self.is_known and (self._odd < REPEATS or now_s < self._odd_since_s + LATE_S):
             return False
         self._odd = 0
         self.is_known = True
-        self.first = first
+        self.first = self.announced = first
         self.next = number_after(first, len(self._unacked))
         return True

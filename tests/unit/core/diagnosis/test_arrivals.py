@@ -127,6 +127,15 @@ def test_late_messages_of_a_board_that_begins_anew_are_not_a_finding(arrival: Ar
     assert (found.code, found.detail) == ("no_device", LISTENING)
 
 
+@pytest.mark.parametrize("is_connected", [False, True])
+def test_device_that_gets_less_than_it_needs_is_named_with_the_setting_that_helps(is_connected: bool) -> None:
+    arrivals = [refused("unverified", 3)]
+    (found,) = daemon_findings([], arrivals, is_connected=is_connected, listening=LISTENING)
+    assert (found.code, found.detail) == ("address_unverified", "10.0.0.5: 3 times")
+    assert 'trusted = ["192.168.4.0/24"] in [micro_ros.udp]' in found.next_step
+    assert daemon_findings([], [refused("unverified", 2)], is_connected=True, listening=LISTENING) == []
+
+
 def test_board_that_begins_a_session_is_no_longer_in_another() -> None:
     lately = RefusedLately()
     for at_s in (0.0, 3.0, 6.0):

@@ -356,6 +356,34 @@ def test_busy_device_that_falls_silent_counts_as_disconnected_at_once() -> None:
     assert claim.replaces == 1
 
 
+def test_device_whose_slow_loop_sends_in_bursts_is_not_replaced_by_an_equal_one() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    for _ in range(5):  # turns of its loop
+        ours.now_s += 0.6
+        for _ in range(6):
+            ours.now_s += 0.002
+            ours.directory.presence(1).note_read(ours.now_s)
+    ours.now_s += 0.55
+    claim = ours.claim(2, HOME, paper_robot())
+    while isinstance(claim, Undecided):
+        ours.talk(1, seconds=0.1)
+        claim = ours.claim(2, HOME, paper_robot())
+    assert (claim.robot.name, claim.replaces) == ("robot_0_2", None)
+
+
+def test_device_that_was_silent_once_is_replaced_as_soon_as_before() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.talk(1)
+    ours.now_s += 2.5
+    ours.talk(1)
+    ours.now_s += 0.6
+    claim = ours.claim(2, HOME, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert claim.replaces == 1
+
+
 def test_short_silence_of_one_of_two_devices_does_not_replace_it() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())

@@ -1,5 +1,7 @@
 """XrceSession: clients, objects, messages, services, time, flow control. A stock client plays in virtual time."""
 
+import contextlib
+import itertools
 import math
 import struct
 from collections.abc import Callable
@@ -15,7 +17,7 @@ from hostlink.core.messages.serialisation import CDR
 from hostlink.core.protocol import events
 from hostlink.core.protocol.endpoint import DeviceEndpoint, EndpointKind
 from hostlink.core.protocol.events import Parameter
-from hostlink.core.protocol.xrce.client import IN_FLIGHT_S, LOST_MIN_S, REPEATS_AFTER, WAITING_MAX
+from hostlink.core.protocol.xrce.client import HEARTBEAT_MAX_S, IN_FLIGHT_S, LOST_MIN_S, REPEATS_AFTER, WAITING_MAX
 from hostlink.core.protocol.xrce.evidence import STORED_PAUSE_S
 from hostlink.core.protocol.xrce.framing import DatagramFraming
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP, Xrce
@@ -23,6 +25,7 @@ from hostlink.core.protocol.xrce.resume import SessionState
 from hostlink.core.protocol.xrce.session import (
     CALLS_MAX,
     CLIENTS_MAX,
+    GONE_S,
     KEEPALIVE_S,
     LATE_CREATION_S,
     QUIET_S,
@@ -362,6 +365,48 @@ def test_board_that_restarts_with_another_session_replaces_itself() -> None:
     assert len(here.session.topics) == 7
 
 
+@pytest.mark.parametrize(("key", "session"), [(KEY, 0x82), (b"new!", 0x82)])
+@pytest.mark.parametrize(
+    ("protocol", "transport"),
+    [(MICRO_ROS_UDP, board.Datagrams), (MICRO_ROS_TCP, board.Lengths), (MICRO_ROS_SERIAL, board.Serial)],
+)
+def test_board_that_restarts_with_another_session_and_key_takes_velocities_at_once(
+    protocol: Xrce, transport: type[board.Datagrams], key: bytes, session: int
+) -> None:
+    link = Link(Random(1), delay_s=(0.001, 0.001))
+    here = World(protocol.resumed(CATALOG, ""), idle(), Client(key=KEY), link, transport())
+    assert here.do(here.client.connect())
+    here.do(creations(here.client))
+    here.run(here.now_s + 2 * QUIET_S)
+    again = Client(key=key, session=session)
+    here.restart_board(again, idle())
+    assert here.do(again.connect(attempts=1))
+    here.do(creations(again))
+    here.run(here.now_s + 2 * QUIET_S)
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.write()
+    here.do(again.listen(0.1))
+    assert taken(here, READER) == [VELOCITY]
+    here.run(here.now_s + GONE_S + 2 * KEEPALIVE_S)
+    assert [each.session for each in here.session._clients.values()] == [session]
+    assert len(here.session.topics) == 7
+
+
+def test_client_that_is_heard_keeps_its_names_when_a_second_one_has_the_same() -> None:
+    here = connected()
+    first, second = here.client, Client(key=b"also", session=0x82)
+    here.session.receive(second.creation(), now_s=here.now_s)
+    here.client = second
+    assert here.do(second.connect())
+    here.do(creations(second))
+    first.send(0, 0, sub(board.ACKNACK, struct.pack("<HHB", first.last_handled + 1 & 0xFFFF, 0, 0x80)))
+    here.session.receive(first.sent.pop(), now_s=here.now_s)
+    here.run(here.now_s + 2 * QUIET_S)
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.write()
+    assert here.frames[-1][1][0] == first.session
+
+
 def test_call_that_waits_for_a_board_that_restarts_is_forgotten() -> None:
     here = connected()
     here.session.call("/led", REQUEST)
@@ -652,6 +697,107 @@ def test_message_that_the_board_never_answers_is_given_up() -> None:
     here.run(here.now_s + 10.0)
     assert here.session.too_long_messages == 1
     assert here.session.deadline_s() > here.now_s
+
+
+@pytest.mark.parametrize(("history", "size"), [(1, 600), (1, 1900), (2, 1300), (2, 1900), (3, 1900)])
+def test_message_of_few_fragments_is_refused_by_a_board_with_a_shorter_history(history: int, size: int) -> None:
+    here = world(Client(key=KEY, history=history))
+    here.do(here.client.connect())
+    here.do(creations(here.client))
+    here.client.read_data(0x16)
+    here.run(here.now_s + 2 * QUIET_S)
+    here.session.publish("/words", struct.pack("<I", size) + b"y" * size)
+    here.write()
+    sent = len(here.frames)
+    here.run(here.now_s + 5.0)
+    assert len(here.frames) - sent < 20
+    here.session.publish("/words", struct.pack("<I", 1) + b"z")
+    here.write()
+    here.run(here.now_s + 1.0)
+    assert [text_of(each) for each in taken(here, 0x16)] == ["z"]
+    assert here.session.too_long_messages == 1
+    words = next(each for each in here.session.topics if each.name == "/words")
+    assert here.session.too_large == str(FrameTooLarge("/words", size + 5, here.session.room_bytes(words)))
+    with pytest.raises(FrameTooLarge):
+        here.session.publish("/words", struct.pack("<I", size) + b"y" * size)
+
+
+def long_service() -> World:
+    """A board that has a service of a type without a definition, and a history of two messages."""
+    here = world(Client(key=KEY, history=2))
+    client = here.client
+    here.do(client.connect())
+    here.do(client.create(0x01, board.participant("/ns/base"), 0))
+    here.do(client.create(REPLIER, board.service("led", "my_msgs::srv::dds_::Long"), 1))
+    client.read_data(REPLIER)
+    here.run(here.now_s + 2 * QUIET_S)
+    return here
+
+
+def test_request_that_is_longer_than_the_history_of_the_board_fails_at_once() -> None:
+    here = long_service()
+    first = here.session.call("/led", b"x" * 1200)
+    here.write()
+    here.run(here.now_s + 0.1)
+    (refused,) = of_kind(here, events.ResponseRefused)
+    assert isinstance(refused, events.ResponseRefused)
+    assert refused.service.name == "/led"
+    assert refused.request == first
+    assert isinstance(refused.reason, FrameTooLarge)
+    with pytest.raises(FrameTooLarge):
+        here.session.call("/led", b"x" * 1200)
+
+
+def test_long_request_to_a_service_that_is_deleted_meanwhile_is_dropped() -> None:
+    here = long_service()
+    here.session.call("/led", b"x" * 1200)
+    here.session._by_key.clear()
+    here.write()
+    here.run(here.now_s + 0.1)
+    assert of_kind(here, events.ResponseRefused) == []
+    assert here.session.too_long_messages == 1
+
+
+def test_long_message_that_is_not_answered_does_not_show_a_short_history() -> None:
+    here = connected(Client(key=KEY, history=8))
+    here.link.loss = 1.0
+    text = struct.pack("<I", 3500) + b"y" * 3500
+    here.session.publish("/words", text)
+    here.write()
+    here.run(here.now_s + 10.0)
+    assert here.session.too_long_messages == 1
+    assert here.session.too_large == ""
+    here.link.loss = 0.0
+    here.session.publish("/words", text)
+    here.write()
+    here.run(here.now_s + 2.0)
+    assert [len(text_of(each)) for each in taken(here, 0x16)] == [3500]
+
+
+@pytest.mark.parametrize("size", [1, 1500, 3500])
+@pytest.mark.parametrize("seed", range(5))
+def test_board_that_only_listens_gets_every_message_at_a_loss_of_20_percent(seed: int, size: int) -> None:
+    here = connected(Client(key=KEY, history=8))
+    here.link.loss, here.link.random = 0.2, Random(seed)
+    texts = [bytes((each,)) * size for each in b"abcdefgh"]
+    for each in texts:
+        here.session.publish("/words", struct.pack("<I", size) + each, depth=len(texts))
+        here.write()
+    here.run(here.now_s + 60.0)
+    assert [text_of(each) for each in taken(here, 0x16)] == [each.decode() for each in texts]
+
+
+def test_board_that_answers_nothing_is_asked_with_growing_pauses() -> None:
+    here = connected()
+    here.link.loss, began_s = 1.0, here.now_s
+    here.session.publish("/words", struct.pack("<I", 1) + b"z")
+    here.write()
+    here.run(here.now_s + 20.0)
+    times_s = [at_s for at_s, frame in here.frames if frame[4] == board.HEARTBEAT and at_s > began_s]
+    pauses_s = [after_s - before_s for before_s, after_s in itertools.pairwise(times_s)]
+    assert pauses_s == pytest.approx(sorted(pauses_s))
+    assert pauses_s[0] < 0.2
+    assert pauses_s[-1] == pytest.approx(HEARTBEAT_MAX_S)
 
 
 def test_long_message_waits_until_nothing_is_to_be_acknowledged() -> None:
@@ -1092,6 +1238,67 @@ def test_late_creation_of_a_session_that_continues_stops_no_acknowledgement() ->
     here.do(here.client.confirm(0.05))
     here.link.loss = 0.0
     assert here.do(here.client.confirm(1.0))
+
+
+def begun_again(*, after_s: float) -> World:
+    """A board with a text on its way that restarts with its key. It has not created anything."""
+    here = connected()
+    here.run(here.now_s + after_s)
+    here.link.loss = 1.0
+    here.session.publish("/words", struct.pack("<I", 3) + b"old")
+    here.write()
+    here.link.loss = 0.0
+    here.client = Client(key=KEY)
+    here.restart_board(here.client, idle())
+    assert here.do(here.client.connect(attempts=1))
+    return here
+
+
+@pytest.mark.parametrize("after_s", [0.0, 3.0])
+def test_board_that_restarts_with_its_key_gets_no_message_of_its_session_before(after_s: float) -> None:
+    here = begun_again(after_s=after_s)
+    here.client.send(0, 0, sub(board.ACKNACK, struct.pack("<HHB", 0, 0xFFFF, 0x80)))
+    here._to_host(here.client.sent.pop())
+    here.session.probe()
+    here.session.send_zero(here.session._known[1], ZERO)
+    with contextlib.suppress(UnknownTopic):  # it is announced only if it may be the same session
+        here.session.publish("/words", struct.pack("<I", 3) + b"two")
+    here.write()
+    here.run(here.now_s + 0.3)
+    here.do(creations(here.client))
+    here.run(here.now_s + 2 * QUIET_S)
+    here.session.publish("/words", struct.pack("<I", 3) + b"new")
+    here.write()
+    here.run(here.now_s + 1.0)
+    assert [text_of(each) for each in taken(here, 0x16)][-1:] == ["new"]
+    assert "old" not in [text_of(each) for each in taken(here, 0x16)]
+    assert here.client.old_acknacks == 0
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_first_messages_of_a_board_that_restarts_are_lost_and_sent_again(lost: int) -> None:
+    here = begun_again(after_s=0.0)
+    client = here.client
+    for _ in range(4):
+        client.put(client.creating(0x01, board.participant("/ns/base"), 0)[1])
+    sent, client.sent = client.sent[lost:], []
+    for each in sent:
+        here._to_host(each)
+    here.do(client.listen(0.05))
+    assert client.old_acknacks == 0
+    assert here.do(client.confirm(2.0))  # the client of the test asserts that each number was sent
+    assert here.session.quality.restarts == 1
+
+
+def test_board_that_restarts_and_falls_silent_has_begun_anew() -> None:
+    here = begun_again(after_s=0.0)
+    client = here.client
+    for _ in range(2):
+        client.put(client.creating(0x01, board.participant("/ns/base"), 0)[1])
+    here._to_host(client.sent[1])
+    client.sent = []
+    here.run(here.now_s + 2 * KEEPALIVE_S)
+    assert here.session.quality.restarts == 1
 
 
 @pytest.mark.parametrize("key", [KEY, b"\5\6\7\x08"])

@@ -9,6 +9,7 @@ from hostlink.core.protocol.xrce.streams import (
     GIVEN_UP_S,
     HELD_BYTES_MAX,
     HISTORY,
+    LATE_S,
     MESSAGE_BYTES_MAX,
     REPEATS,
     WINDOW,
@@ -17,7 +18,7 @@ from hostlink.core.protocol.xrce.streams import (
     ReliableInput,
     ReliableOutput,
 )
-from hostlink.core.protocol.xrce.wire import NUMBERS, RELIABLE, Range, number_after
+from hostlink.core.protocol.xrce.wire import LAST_FRAGMENT, LITTLE, NUMBERS, RELIABLE, Kind, Range, number_after
 
 
 def body(number: int) -> bytes:
@@ -203,10 +204,39 @@ def test_message_that_the_history_of_the_client_does_not_hold_is_refused_and_its
     assert (stream.trial(), stream.put(b"next", 1.0)) == (None, 0)
 
 
+def test_heartbeat_begins_at_a_message_of_which_the_client_keeps_only_some_fragments() -> None:
+    part, last = bytes((Kind.FRAGMENT, LITTLE, 1, 0, 1)), bytes((Kind.FRAGMENT, LITTLE | LAST_FRAGMENT, 1, 0, 1))
+    output = ReliableOutput()
+    announced = []
+    for each in (b"whole", part, part, last):
+        output.put(each, 0.0)
+    for first in (1, 2, 3, 4):
+        output.acknowledge(Range(first, 0, RELIABLE), 0.0, older_than_s=0.0)
+        announced.append((output.first, output.announced))
+    assert announced == [(1, 1), (2, 1), (3, 1), (4, 4)]
+
+
+def test_late_answer_to_a_longer_trial_decides_no_shorter_one() -> None:
+    stream = tried(6)
+    stream.acknowledge(ack(0, 0b111111), 1.0, older_than_s=0.1)
+    stream.begin_trial([b"1", b"2"], 1.0)
+    stream.acknowledge(ack(0, 0b111111), 1.1, older_than_s=0.1)  # of before the trial
+    assert stream.trial() == (1, b"2")
+    stream.acknowledge(ack(0, 0b111101), 1.0 + LATE_S, older_than_s=0.1)
+    assert (stream.passed, stream.proven, stream.limit) == ([b"1", b"2"], 2, 5)
+
+
+def test_trial_that_is_not_answered_shows_no_limit() -> None:
+    output = ReliableOutput()
+    output.begin_trial([b"1", b"2"])
+    output.end_trial(is_kept=False, is_told=False)
+    assert (output.refused, output.limit, output.trial()) == (1, WINDOW, None)
+
+
 def test_trial_ends_when_the_stream_moves() -> None:
     stream = tried(6)
-    for _ in range(REPEATS):
-        stream.acknowledge(ack(900), 1.0, older_than_s=0.1)
+    for number in range(REPEATS):
+        stream.acknowledge(ack(900), 1.0 + number, older_than_s=0.1)
     assert (stream.trial(), stream.first) == (None, 900)
 
 
@@ -214,10 +244,21 @@ def test_trial_ends_when_the_stream_moves() -> None:
 def test_number_that_does_not_fit_moves_the_stream_when_it_is_repeated(first: int) -> None:
     stream = ReliableOutput()
     stream.put(b"a", 0.0)
-    for _ in range(REPEATS - 1):
-        assert stream.acknowledge(ack(first), 1.0, older_than_s=0.1) == []
-    assert stream.acknowledge(ack(first), 1.0, older_than_s=0.1) == [(first % NUMBERS, b"a")]
+    for number in range(REPEATS - 1):
+        assert stream.acknowledge(ack(first), 1.0 + number, older_than_s=0.1) == []
+    assert stream.acknowledge(ack(first), float(REPEATS), older_than_s=0.1) == [(first % NUMBERS, b"a")]
     assert (stream.first, stream.next) == (first % NUMBERS, (first + 1) % NUMBERS)
+
+
+def test_late_acknowledgements_that_a_newer_one_has_overtaken_move_nothing() -> None:
+    stream = ReliableOutput()
+    for _ in range(3):
+        stream.put(b"a", 0.0)
+    stream.acknowledge(ack(3), 1.0, older_than_s=0.1)
+    stream.put(b"b", 1.0)
+    for _ in range(3 * REPEATS):
+        assert stream.acknowledge(ack(1), 1.0 + LATE_S / 2, older_than_s=0.1) == []
+    assert (stream.first, stream.next) == (3, 4)
 
 
 def test_numbers_that_differ_move_nothing() -> None:
