@@ -891,7 +891,9 @@ class XrceSession(DeviceSession):
             known.reset_streams(self._now_s)
             self._announce_s = self._now_s + QUIET_S
         known.info = info
-        known.is_reset_due = bool(known.inputs or known.lossy_inputs or known.output.next)
+        known.is_reset_due = known.has_begun
+        if not known.has_begun:  # the answer was lost: its objects follow now
+            known.note_creating(self._now_s)
 
     def _is_late(self, info: ClientInfo) -> bool:
         """Whether a CREATE_CLIENT is a late datagram of the session before."""
