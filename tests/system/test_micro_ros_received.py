@@ -1,4 +1,4 @@
-"""What a micro-ROS board receives from `hostlink serve` through stops, a reboot and ends of the daemon, in a table.
+"""Table of what a micro-ROS board receives from `hostlink serve` through stops, a reboot and ends of the daemon.
 
 A program commands 20 times a second, also while the daemon is not there; before a stop it becomes silent. After a
 refusal it sends a zero, as one who lets go. The limits leave out the time in which the machine ran other programs.
@@ -43,7 +43,7 @@ HEAD = ("what happens", "zero after, ms", "zeros", "velocities after the zero", 
 
 @dataclass
 class Row:
-    """What the board received after an event. Times are in seconds; None: not asked for."""
+    """Messages that the board received after an event. Times are in seconds; None: not asked for."""
 
     event: str
     zero_s: float | None
