@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+READY_S = 60.0  # of a crowd
+ADMITTED_A_SECOND = 5  # of micro-ROS boards on a busy machine; the daemon lets twenty in
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ async def crowd(kind: str, count: int, host: tuple[str, int], seconds: float) ->
     """Run a crowd of tools/crowd.py, once it is ready; its output ends with a JSON object of its counts."""
     program = str(ROOT / "tools" / "crowd.py")
     async with reading(program, kind, str(count), "{}:{}".format(*host), str(seconds)) as (_, output):
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(READY_S + count / ADMITTED_A_SECOND):
             await output.readline()
         yield output
 

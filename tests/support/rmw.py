@@ -47,14 +47,15 @@ class Bridged:
 
 
 @contextlib.asynccontextmanager
-async def bridged(**settings: Any) -> AsyncIterator[Bridged]:
+async def bridged(config: Config | None = None, **settings: Any) -> AsyncIterator[Bridged]:
     """A daemon with ROS 2 that waits for silent devices; other daemons and nodes find it by its address alone."""
+    patient = replace(config or Config(), link=LinkConfig(silence_timeout_s=None, idle_timeout_s=None))
     address = f"127.0.0.1:{free_port()}"
     zenoh_config = replace(
         ZenohSettings(ros2=True, listen=(f"tcp/{address}",), multicast=False, name="test-host"), **settings
     )
     async with (
-        daemon(Config(link=LinkConfig(silence_timeout_s=None, idle_timeout_s=None))) as running,
+        daemon(patient) as running,
         opened(zenoh_config, running.hub.isolation.around) as session,
         hosted(running.hub, "zenoh", Counter()) as host,
         ros2_bridged(host, session, zenoh_config) as bridge,

@@ -793,6 +793,10 @@ class World:
             for at_s in self.link.arrivals(self.now_s, to_board=True):
                 self.at(at_s, lambda frame=outgoing.frame: self._to_board(frame))  # type: ignore[misc]
 
+    def send_to_host(self, data: bytes) -> None:
+        """Let bytes of anything at the address of the board arrive at the host."""
+        self._to_host(data)
+
     def restart_host(self, session: XrceSession, *, away_s: float = 0.5) -> None:
         """End the host, and start it again after a while."""
         self.is_host_there = False

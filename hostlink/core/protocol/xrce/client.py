@@ -27,6 +27,7 @@ from hostlink.core.protocol.xrce.wire import (
     encode_message,
     encode_submessage,
     header_bytes,
+    join_submessages,
     number_after,
 )
 
@@ -425,6 +426,11 @@ class XrceClient:
         self._creating_until_s = now_s + CREATING_S
         self.repair_s = now_s + CREATING_SILENCE_S
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether a stream of its session has had a message. One that is only waited for has had none."""
+        return bool(self.lossy_inputs or self.output.next or any(each.has_begun for each in self.inputs.values()))
+
     def was_creating(self, now_s: float) -> bool:
         """Whether the client has created objects lately: it was asked for more than was lost."""
         return now_s < self._creating_until_s + CREATING_S
@@ -439,13 +445,18 @@ class XrceClient:
             self.repair_s = now_s + CREATING_SILENCE_S
 
     def due_repair(self, now_s: float) -> bytes:
-        """Return the ACKNACK that is due at `repair_s`; empty if its number does not fit. Plan the next one."""
+        """Return the ACKNACK that is due at `repair_s`; empty if its number does not fit. Plan the next one.
+
+        A HEARTBEAT follows while a status is not acknowledged: the board waits for each one for a second at most.
+        """
         pause_s = max(CREATING_SILENCE_S, 2 * self.round_trip_s)
         self.repair_s = now_s + pause_s if now_s < self._creating_until_s else float("inf")
         main = self.input(RELIABLE)
         if main is None or not self.may_acknowledge(main):
             return b""
-        return self.acknack(main, now_s, is_repair=True)
+        repair = self.acknack(main, now_s, is_repair=True)
+        has_status = self.output.is_known and self.output.is_waiting and self.output.trial() is None
+        return join_submessages(repair, self.heartbeat(now_s)) if has_status else repair
 
     def note_message(self, now_s: float) -> None:
         """Note that a reliable message came."""

@@ -921,9 +921,9 @@ class XrceSession(DeviceSession):
         known.info, known.mtu = info, min(info.mtu, self._framing.limit_bytes)
         may_be_late = self._now_s - known.asked_s < LATE_CREATION_S
         known.asked_s = self._now_s
-        if not (known.inputs or known.lossy_inputs or known.output.next):
-            return
-        if may_be_late:
+        if not known.has_begun:  # the answer was lost: its objects follow now
+            known.note_creating(self._now_s)
+        elif may_be_late:
             known.is_reset_due, known.has_told_little = True, False
         else:
             self._begin_anew(known)

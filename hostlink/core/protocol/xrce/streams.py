@@ -202,6 +202,11 @@ class ReliableInput:
         if self.fragments.size_bytes:
             self.fragments.skip_message()
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether a message has come, or was announced."""
+        return self.next != 0 or self._announced != NUMBERS - 1
+
     def missing(self) -> int:
         """Return the bitmap of the numbers from `next` on that are known to be missing."""
         known = distance(self.next, self._announced) + 1

@@ -5,97 +5,15 @@ sends a velocity at 20 Hz. Measured with a host that only acknowledges: 60 publi
 longest 1.2 s, and velocities of 0.9 s of age.
 """
 
-import contextlib
-import math
-import struct
 from random import Random
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hostlink.core.messages.catalog import Catalog
-from hostlink.core.messages.cdr import cdr_of
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP, Xrce
-from hostlink.core.protocol.xrce.session import XrceSession
-from hostlink.errors import HostlinkError
-from tests.support.xrce_board import Client, Datagrams, Lengths, Link, Program, Published, Serial, Stock, World
-
-CATALOG = Catalog()
-COMMAND_S = 0.05
-KEY = (0x01020304).to_bytes(4)
-
-
-def cdr(name: str, message: dict[str, object]) -> bytes:
-    type_ = CATALOG.message(name)
-    assert type_ is not None
-    return cdr_of(type_).from_ros1(type_.encode(message))
-
-
-ODOMETRY = cdr("nav_msgs/Odometry", {"header": {"frame_id": "odom"}, "child_frame_id": "base_link"})
-IMU = cdr("sensor_msgs/Imu", {"header": {"frame_id": "imu_link"}})
-
-
-class Drive:
-    """A board that drives: each velocity has the time at which it was commanded."""
-
-    def __init__(
-        self,
-        link: Link,
-        *,
-        has_reconnect: bool = False,
-        turn_s: float = 0.0,
-        period_s: float = 0.02,
-        session: XrceSession | None = None,
-        transport: Datagrams | None = None,
-        damage: float = 0.0,
-    ) -> None:
-        self.client = Client(key=KEY)
-        self.board = Stock(self.client, ODOMETRY, IMU, restarts=has_reconnect, turn_s=turn_s, period_s=period_s)
-        session = session or MICRO_ROS_UDP.session(CATALOG)
-        self.world = World(session, self.board.run(), self.client, link, transport, damage)
-        self.stops_at_s = float("inf")
-        self.world.at(0.0, self._command)
-
-    def _command(self) -> None:
-        world, velocity = self.world, struct.pack("<6d", self.world.now_s, 0, 0, 0, 0, 0)
-        if world.is_host_there and world.session.topics:
-            with contextlib.suppress(HostlinkError):
-                if world.now_s >= self.stops_at_s:
-                    assert world.session.send_zero(world.session.endpoint_of("/cmd_vel", velocity), bytes(48))
-                else:
-                    world.session.publish("/cmd_vel", velocity, is_urgent=True)
-            world.write()
-        if world.now_s < self.stops_at_s:
-            world.at(world.now_s + COMMAND_S, self._command)
-
-    @property
-    def stood_s(self) -> float:
-        """Time after the stop at which the board took the zero behind which it took no other velocity."""
-        last, at_s = self.board.taken[-1][1], math.inf
-        for taken_s, velocity in reversed(self.board.taken):
-            if velocity != 0.0:
-                break
-            at_s = taken_s
-        return at_s - self.stops_at_s if last == 0.0 else math.inf
-
-    @property
-    def ages_s(self) -> list[float]:
-        """Ages of the velocities when the board took them, sorted."""
-        return sorted(at_s - commanded_s for at_s, commanded_s in self.board.taken)
-
-    def published(self, since_s: float = 0.0) -> list[Published]:
-        return [each for each in self.board.published if each.at_s >= since_s]
-
-    def taken_since(self, since_s: float) -> int:
-        return sum(at_s >= since_s for at_s, _ in self.board.taken)
-
-
-def played(seed: int, seconds: float = 8.0, *, turn_s: float = 0.0, period_s: float = 0.02, **faults: float) -> Drive:
-    drive = Drive(Link(Random(seed), **faults), turn_s=turn_s, period_s=period_s)  # type: ignore[arg-type]
-    drive.world.run(seconds)
-    assert drive.board.is_running, drive.board.failed_at
-    return drive
+from tests.support.xrce_board import Datagrams, Lengths, Link, Serial
+from tests.support.xrce_drive import CATALOG, Drive, played, resumed
 
 
 def test_without_loss_nothing_is_sent_twice_and_no_publish_waits() -> None:
@@ -104,6 +22,18 @@ def test_without_loss_nothing_is_sent_twice_and_no_publish_waits() -> None:
     assert drive.world.session.quality.resent == 0
     assert max(each.took_s for each in drive.published()) < 0.01
     assert len(drive.published()) > 750
+
+
+@pytest.mark.slow
+def test_at_a_loss_of_20_percent_a_board_creates_its_objects() -> None:
+    """A board without code to reconnect ends in an error loop after one status that did not come within a second."""
+    failed = []
+    for seed in range(60):
+        drive = Drive(Link(Random(seed), loss=0.2))
+        while not (drive.board.is_running or drive.board.failed_at):
+            drive.world.run(drive.world.now_s + 0.5)
+        failed += [drive.board.failed_at] if drive.board.failed_at else []
+    assert failed == []
 
 
 @pytest.mark.slow
@@ -117,13 +47,16 @@ def test_at_a_loss_of_5_percent_no_publish_blocks_and_no_velocity_is_old(seed: i
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_at_a_loss_of_20_percent_publishes_go_on_and_no_velocity_is_old(seed: int) -> None:
-    drive = played(seed, loss=0.2)
-    published = drive.published()
-    assert sum(not each.is_done for each in published) <= 0.02 * len(published)
-    assert len(published) > 120
-    assert drive.ages_s[int(len(drive.ages_s) * 0.99)] < 0.5  # the middleware keeps four while a publish waits
+def test_at_a_loss_of_20_percent_publishes_go_on_and_no_velocity_is_old() -> None:
+    """One drive has 150 velocities, of which two decide its 99th percentile: it is that of ten drives."""
+    ages_s: list[float] = []
+    for seed in range(10):
+        drive = played(seed, loss=0.2)
+        published = drive.published()
+        assert sum(not each.is_done for each in published) <= 0.02 * len(published)
+        assert len(published) > 120
+        ages_s += drive.ages_s
+    assert sorted(ages_s)[int(len(ages_s) * 0.99)] < 0.6  # the middleware keeps four while a publish waits
 
 
 @pytest.mark.slow
@@ -149,7 +82,8 @@ def test_board_with_a_slow_loop_gets_velocities_that_are_at_most_two_turns_old()
 def test_board_whose_loop_hung_takes_the_zero_that_was_sent_meanwhile(hang_s: float, loss: float) -> None:
     """After the hang the board reads all at once, and its middleware drops what finds no place."""
     drive = Drive(Link(Random(7), loss=loss))
-    drive.board.hangs_at_s, drive.board.hangs_for_s, drive.stops_at_s = 2.0, hang_s, 2.0 + 0.7 * hang_s
+    drive.board.hangs_at_s, drive.board.hangs_for_s = 2.0, hang_s
+    drive.stop_at(2.0 + 0.7 * hang_s)
     drive.world.run(12.0)
     assert drive.stood_s < 0.3 * hang_s + 0.5
 
@@ -158,7 +92,7 @@ def test_board_whose_loop_hung_takes_the_zero_that_was_sent_meanwhile(hang_s: fl
 @pytest.mark.parametrize("stops_at_s", [4.0, 4.13, 4.29])
 def test_board_with_a_slow_loop_stops(turn_s: float, stops_at_s: float) -> None:
     drive = Drive(Link(Random(3)), turn_s=turn_s, period_s=turn_s)
-    drive.stops_at_s = stops_at_s
+    drive.stop_at(stops_at_s)
     drive.world.run(12.0)
     assert drive.stood_s < 6 * turn_s + 0.1
 
@@ -190,49 +124,13 @@ def test_damaged_serial_line_costs_frames_and_no_publish(seed: int) -> None:
     assert drive.ages_s[int(len(drive.ages_s) * 0.99)] < 0.25
 
 
-def usable(drive: Drive, within_s: float) -> None:
-    """Let both sides live until the board publishes and takes velocities again, on all of its topics."""
-    world, since_s = drive.world, drive.world.now_s
-
-    def is_usable() -> bool:
-        names = {each.name for each in world.session.topics}
-        is_publishing = any(each.is_done for each in drive.published(since_s))
-        return (
-            is_publishing and drive.taken_since(since_s) > 0 and names == {"/odom/unfiltered", "/imu/data", "/cmd_vel"}
-        )
-
-    while not is_usable():
-        assert world.now_s < since_s + within_s, (drive.board.failed_at, world.session.topics)
-        world.run(world.now_s + 0.2)
-
-
-def resumed(session: XrceSession) -> XrceSession:
-    """A session that continues from what the earlier one had stored."""
-    return MICRO_ROS_UDP.resumed(CATALOG, session.memory())
-
-
 @pytest.mark.slow
 @given(st.integers(0, 1000), st.floats(0.0, 2.0), st.sampled_from([0.0, 0.05, 0.2]), st.floats(0.0, 2.0))
 def test_board_that_restarts_at_any_time_is_usable(seed: int, at_s: float, loss: float, away_s: float) -> None:
     drive = Drive(Link(Random(seed), loss), has_reconnect=True)
-    world = drive.world
-
-    def restart() -> None:
-        before = drive.board
-        client = Client(key=b"boot")
-        drive.board = Stock(client, ODOMETRY, IMU, restarts=True, begun=0x0A0B0C0D, taken=before.taken)
-        world.restart_board(client, drive.board.run())
-
-    world.at(at_s, lambda: world.restart_board(Client(key=KEY), off()))
-    world.at(at_s + away_s, restart)
-    world.run(at_s + away_s + 0.1)
-    usable(drive, 20.0)
-
-
-def off() -> Program:
-    """The program of a board that is off."""
-    while True:
-        yield -1e9
+    drive.restart_board(at_s, away_s)
+    drive.world.run(at_s + away_s + 0.1)
+    drive.run_until_usable(20.0)
 
 
 @pytest.mark.slow
@@ -242,15 +140,9 @@ def test_host_that_restarts_at_any_time_drives_the_board_again(
     seed: int, at_s: float, loss: float, away_s: float, has_state: bool
 ) -> None:
     drive = Drive(Link(Random(seed), loss), has_reconnect=True)
-    world = drive.world
-
-    def restart() -> None:
-        session = resumed(world.session) if has_state else MICRO_ROS_UDP.session(CATALOG)
-        world.restart_host(session, away_s=away_s)
-
-    world.at(at_s, restart)
-    world.run(at_s + away_s + 0.1)
-    usable(drive, 25.0)
+    drive.restart_host(at_s, away_s, has_state=has_state)
+    drive.world.run(at_s + away_s + 0.1)
+    drive.run_until_usable(25.0)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -264,4 +156,4 @@ def test_board_without_code_to_reconnect_drives_again_within_two_seconds(seed: i
     back_s = 4.0
     assert min(at_s for at_s, _ in drive.board.taken if at_s > back_s) < back_s + 2.0
     assert sum(not each.is_done for each in drive.published(2.9)) <= 2
-    usable(drive, 1.0)
+    drive.run_until_usable(1.0)

@@ -287,6 +287,16 @@ def test_client_without_reliable_messages_that_begins_anew_keeps_its_objects() -
     assert here.session.quality.best_effort_late == 0
 
 
+def test_first_object_of_a_client_is_asked_for_after_the_answer_to_its_creation_was_lost() -> None:
+    here = world()
+    here.session.receive(here.client.creation(), now_s=0.0)  # the answer is lost
+    here.run(0.5)  # the host asks for the first object meanwhile
+    assert here.do(here.client.connect())
+    here.client.put(here.client.creating(0x01, board.participant("base"), 0)[1])
+    here.client.sent.clear()  # the first object is lost
+    assert here.do(here.client.confirm(0.25))
+
+
 def test_board_that_creates_objects_is_asked_for_what_was_lost() -> None:
     here = world()
     here.do(here.client.connect())
@@ -298,6 +308,18 @@ def test_board_that_creates_objects_is_asked_for_what_was_lost() -> None:
     here.do(here.client.listen(0.1))
     here.run(here.now_s + 0.1)
     assert len(here.session._clients[0x81, b""].objects.by_id) == 2
+
+
+def test_board_that_creates_objects_takes_a_status_within_its_second_though_most_answers_are_lost() -> None:
+    here = world()
+    assert here.do(here.client.connect())
+    begun_s = here.now_s
+
+    def first_ones_lost(now_s: float, *, to_board: bool) -> list[float]:
+        return [now_s + 0.001] if not to_board or now_s > begun_s + 0.8 else []
+
+    here.link.arrivals = first_ones_lost  # type: ignore[method-assign]
+    assert here.do(here.client.create(0x01, board.participant("base"), 0)) == 0
 
 
 def test_number_that_does_not_fit_is_not_acknowledged_while_a_board_creates_objects() -> None:
