@@ -34,6 +34,7 @@ from hostlink.core.protocol.xrce.session import (
     endpoint_id,
     object_id,
 )
+from hostlink.core.protocol.xrce.streams import WINDOW
 from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, UnknownTopic, WrongType
 from tests.support import xrce_board as board
 from tests.support.xrce_board import TWIST, XML, Client, Link, Program, World, sub
@@ -885,6 +886,14 @@ def test_payload_that_is_not_of_the_type_is_refused_on_both_sides() -> None:
     assert of_kind(here, events.MessageReceived) == []
 
 
+def test_payload_that_is_not_of_the_type_is_refused_also_while_the_board_creates_more() -> None:
+    here = connected()
+    here.do(here.client.create(0x32, board.topic("rt/more", "std_msgs::msg::dds_::String_"), 1))
+    here.do(here.client.publish(WRITER, b"x"))
+    assert here.session.wrong_sizes == 1
+    assert of_kind(here, events.MessageReceived) == []
+
+
 def test_message_to_an_unknown_topic_is_refused_with_the_known_ones() -> None:
     here = connected()
     with pytest.raises(UnknownTopic, match="known: /cmd_vel, /words"):
@@ -1260,6 +1269,27 @@ def test_late_creation_of_a_session_that_continues_stops_no_acknowledgement() ->
     here.do(here.client.confirm(0.05))
     here.link.loss = 0.0
     assert here.do(here.client.confirm(1.0))
+
+
+def test_number_of_a_long_session_shows_after_a_late_creation_that_it_continues() -> None:
+    here = connected()
+    for _ in range(WINDOW):
+        here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "x"})))
+    before = len(of_kind(here, events.MessageReceived))
+    here._to_host(here.client.creation())  # a datagram that came twice
+    assert here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "y"}))).is_done
+    assert len(of_kind(here, events.MessageReceived)) == before + 1
+    assert here.session.quality.restarts == 0
+    assert len(of_kind(here, events.TopicsNegotiated)) == 1
+
+
+def test_heartbeat_far_from_either_session_decides_nothing_after_a_late_creation() -> None:
+    here = connected()
+    here._to_host(here.client.creation())
+    here.client.send(0, 0, sub(board.HEARTBEAT, struct.pack("<HHB", 5000, 5001, 0x80)))
+    here._to_host(here.client.sent.pop())
+    assert here.session.quality.restarts == 0
+    assert here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "y"}))).is_done
 
 
 def begun_again(*, after_s: float) -> World:
