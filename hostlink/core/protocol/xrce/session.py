@@ -926,6 +926,8 @@ class XrceSession(DeviceSession):
             known.is_reset_due = True
         else:
             self._begin_anew(known)
+            known.note_creating(self._now_s)
+            self._announce_s = self._now_s + RESTART_SILENCE_S  # its objects follow, and it takes nothing before
 
     def _is_late(self, info: ClientInfo) -> bool:
         """Whether a CREATE_CLIENT is a late datagram of the session before."""

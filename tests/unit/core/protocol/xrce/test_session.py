@@ -1378,6 +1378,19 @@ def test_board_that_restarts_and_creates_its_first_object_late_gets_its_status()
     assert here.session.quality.restarts == 1
 
 
+def test_board_that_restarts_is_not_announced_before_it_has_created_its_objects() -> None:
+    """The hub sends zeros and latched messages when a board is announced: a board without readers drops them."""
+    here = begun_again(after_s=3.0)
+    before = len(of_kind(here, events.TopicsNegotiated))
+    here.run(here.now_s + 3 * QUIET_S)
+    with pytest.raises(UnknownTopic, match="has begun anew"):
+        here.session.publish("/words", struct.pack("<I", 3) + b"new")
+    here.do(creations(here.client))
+    here.run(here.now_s + 2 * QUIET_S)
+    assert len(of_kind(here, events.TopicsNegotiated)) == before + 1
+    here.session.publish("/words", struct.pack("<I", 3) + b"new")
+
+
 def test_board_that_only_listens_gets_messages_after_a_late_creation() -> None:
     here = connected()
     here._to_host(here.client.creation())  # a datagram that came twice
