@@ -327,7 +327,8 @@ class FoxgloveSubscriptions:
             raise BadRequest(f"subscribe: {channel.topic} is subscribed already")
 
         def receive(message: Message) -> None:
-            if message.type is channel.type and message.encoding == channel.encoding:
+            is_same = message.type is channel.type and message.type_name == channel.type_name
+            if is_same and message.encoding == channel.encoding:
                 self._queue.put_message(channel.topic, self._time.outgoing(message, wanted.id), message.at_s)
 
         subscription = self._participant.subscribe(channel.topic, receive, type_name=channel.type_name)

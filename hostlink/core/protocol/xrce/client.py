@@ -183,7 +183,6 @@ class XrceClient:
         self.acknacks = 0
         self.has_answered = False  # a HEARTBEAT
         self.is_reset_due = False  # it was created again, or a datagram came twice: its next number tells
-        self.has_told_little = False  # since then: a number that may be of either session
         self.mark = 0  # of the last thing that the client answers
         self.reset_streams(now_s)
 

@@ -183,12 +183,13 @@ def _first(pattern: re.Pattern[str], text: str) -> str:
 class ObjectTable:
     """Objects of one client by id, up to a bound."""
 
-    __slots__ = ("_max_endpoints", "by_id", "refused")
+    __slots__ = ("_max_endpoints", "_types", "by_id", "refused")
 
     def __init__(self, max_endpoints: int) -> None:
         self.by_id: dict[int, XrceObject] = {}
         self.refused = 0  # objects above the bound
         self._max_endpoints = max_endpoints
+        self._types: dict[str, str] | None = None  # by the name of a topic or service; None: not known since a change
 
     def create(self, new: XrceObject, flags: int) -> int:
         """Create an object as the flags REUSE and REPLACE permit. Return the Status."""
@@ -208,6 +209,7 @@ class ObjectTable:
         if before is None and not self._has_room(new.kind):
             self.refused += 1
             return Status.RESOURCES
+        self._types = None
         followers = (
             [each for each in self.by_id.values() if each.topic == new.id] if new.kind == ObjectKind.TOPIC else ()
         )
@@ -233,6 +235,7 @@ class ObjectTable:
         """Delete an object and those below it. Return the Status."""
         if object_id not in self.by_id:
             return Status.UNKNOWN_REFERENCE
+        self._types = None
         gone = {object_id}
         while gone:
             for each in gone:
@@ -244,8 +247,10 @@ class ObjectTable:
         """Return the names of an endpoint's topic or service and of its type. A reference tells no type."""
         if endpoint.type != NO_TYPE:
             return endpoint.name, endpoint.type
-        types = (each.type for each in self.by_id.values() if each.name == endpoint.name and each.type != NO_TYPE)
-        return endpoint.name, next(types, NO_TYPE)
+        if self._types is None:
+            typed = [each for each in self.by_id.values() if each.type != NO_TYPE]
+            self._types = {each.name: each.type for each in reversed(typed)}  # the first of a name counts
+        return endpoint.name, self._types.get(endpoint.name, NO_TYPE)
 
     def endpoints(self) -> Iterator[XrceObject]:
         """Return readers, writers, requesters and repliers, in the order of their creation."""

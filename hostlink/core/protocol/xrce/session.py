@@ -246,9 +246,8 @@ class XrceSession(DeviceSession):
                 if self._is_replaced(client, now_s):
                     self._remove(client)
                     continue
-                if client.is_reset_due and client.has_told_little:
+                if client.is_reset_due:  # it may begin later. One whose session is the same tells its numbers again
                     self._begin_anew(client)
-                client.is_reset_due = False  # it came late: a client that begins anew sends something
                 self._put(client.message(NO_STREAM, client.heartbeat(now_s)))
             if now_s >= client.repair_s and (repair := client.due_repair(now_s)):
                 self._put(client.message(NO_STREAM, repair))
@@ -924,9 +923,11 @@ class XrceSession(DeviceSession):
         if not known.has_begun:  # the answer was lost: its objects follow now
             known.note_creating(self._now_s)
         elif may_be_late:
-            known.is_reset_due, known.has_told_little = True, False
+            known.is_reset_due = True
         else:
             self._begin_anew(known)
+            known.note_creating(self._now_s)
+            self._announce_s = self._now_s + RESTART_SILENCE_S  # its objects follow, and it takes nothing before
 
     def _is_late(self, info: ClientInfo) -> bool:
         """Whether a CREATE_CLIENT is a late datagram of the session before."""
@@ -971,7 +972,12 @@ class XrceSession(DeviceSession):
             return False
         return any(
             each.created_s > client.created_s
-            and (each.session == client.session or each.info.key == client.info.key or _is_likewise(each, client))
+            and (
+                each.session == client.session
+                or each.info.key == client.info.key
+                # A client that was heard for longer after the other one was created is another one.
+                or (each.created_s > client.heard_s - RESTART_SILENCE_S and _is_likewise(each, client))
+            )
             for each in self._clients.values()
         )
 
@@ -1005,8 +1011,6 @@ class XrceSession(DeviceSession):
             self._begin_anew(client)
         elif message.number > WINDOW:
             client.is_reset_due = False
-        else:
-            client.has_told_little = True
 
     def _settle_by_heartbeat(self, client: XrceClient, told: Range) -> None:
         """Decide by a HEARTBEAT: a client that has begun anew has no acknowledgement, and has sent little."""

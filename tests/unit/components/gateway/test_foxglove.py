@@ -523,7 +523,9 @@ async def test_cdr_of_a_type_without_a_definition_is_a_channel_without_a_schema_
     topic.publish(b"\0\1\0\0x", source="board")
     topic.encoding = "ros1"  # it changes, and the graph has not reported that yet
     topic.publish(b"not on this channel", source="board")
-    topic.encoding = CDR
+    topic.encoding, topic.type_name = CDR, "my_msgs/Other"
+    topic.publish(b"of another type", source="board")
+    topic.type_name = "my_msgs/Own"
     assert [payload for _, _, _, payload in peer.messages()] == [b"\0\1\0\0x"]
     here.hub.topics.leave("board")
     here.hub.topics.advertise("/talk", "other board", type_name="std_msgs/String")

@@ -1,5 +1,7 @@
 """Objects of a client: by binary, XML and reference, with reuse and replacement. Names of topics and services."""
 
+import time
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -137,6 +139,33 @@ def test_type_of_a_reference_is_that_of_an_object_with_its_name() -> None:
     objects = table(NODE_1, topic, publisher, writer)
     assert objects.name_and_type(writer) == ("/odom", "nav_msgs/Odometry")
     assert table(NODE_1, publisher, writer).name_and_type(writer) == ("/odom", NO_TYPE)
+    objects.delete(TOPIC)
+    assert objects.name_and_type(writer) == ("/odom", NO_TYPE)
+    assert objects.create(topic, 0) == Status.OK
+    assert objects.name_and_type(writer) == ("/odom", "nav_msgs/Odometry")
+
+
+def test_types_of_many_references_are_found_in_linear_time() -> None:
+    """The session compares the types of all endpoints when a board creates an object, and a board creates many."""
+
+    def taken_s(content: str, form: int) -> float:
+        objects = ObjectTable(256)
+        for each in (NODE_1, made(PUBLISHER, b"\0\0")):
+            assert objects.create(each, 0) == Status.OK
+        for number in range(1, 251):
+            name = content.format(number).encode() + b"\0"
+            assert objects.create(made(number << 4 | WRITER, name, PUBLISHER, form=form), 0) == Status.OK
+
+        def once_s() -> float:
+            began_s = time.perf_counter()
+            for each in objects.endpoints():
+                objects.name_and_type(each)
+            return time.perf_counter() - began_s
+
+        return min(once_s() for _ in range(5))
+
+    typed = "<topic><name>rt/t{}</name><dataType>nav_msgs::msg::dds_::Odometry_</dataType></topic>"
+    assert taken_s("t{}__dw", Representation.REFERENCE) < 10 * taken_s(typed, Representation.XML)
 
 
 @pytest.mark.parametrize(

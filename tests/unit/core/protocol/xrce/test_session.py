@@ -430,6 +430,23 @@ def test_client_that_is_heard_keeps_its_names_when_a_second_one_has_the_same() -
     assert here.frames[-1][1][0] == first.session
 
 
+def test_two_clients_with_equal_topics_both_stay_when_their_network_fails_for_a_while() -> None:
+    here = connected()
+    first, second = here.client, Client(key=b"also", session=0x82)
+    here.session.receive(second.creation(), now_s=here.now_s)
+    here.client = second
+    assert here.do(second.connect())
+    here.do(creations(second))
+    for _ in range(4):
+        here.run(here.now_s + RESTART_SILENCE_S / 2)
+        for each in (first, second):
+            each.send(0, 0, sub(board.ACKNACK, struct.pack("<HHB", each.last_handled + 1 & 0xFFFF, 0, 0x80)))
+            here.session.receive(each.sent.pop(), now_s=here.now_s)
+    here.link.loss = 1.0
+    here.run(here.now_s + GONE_S + 2 * KEEPALIVE_S)
+    assert [each.session for each in here.session._clients.values()] == [first.session, second.session]
+
+
 def test_call_that_waits_for_a_board_that_restarts_is_forgotten() -> None:
     here = connected()
     here.session.call("/led", REQUEST)
@@ -1351,6 +1368,41 @@ def test_board_that_restarts_and_falls_silent_has_begun_anew() -> None:
     client.sent = []
     here.run(here.now_s + 2 * KEEPALIVE_S)
     assert here.session.quality.restarts == 1
+
+
+def test_board_that_restarts_and_creates_its_first_object_late_gets_its_status() -> None:
+    here = begun_again(after_s=0.0)
+    here.run(here.now_s + 1.6 * KEEPALIVE_S)
+    assert here.do(here.client.create(0x01, board.participant("/ns/base"), 0)) in {0, 1}
+    assert here.client.old_acknacks == 0
+    assert here.session.quality.restarts == 1
+
+
+def test_board_that_restarts_is_not_announced_before_it_has_created_its_objects() -> None:
+    """The hub sends zeros and latched messages when a board is announced: a board without readers drops them."""
+    here = begun_again(after_s=3.0)
+    before = len(of_kind(here, events.TopicsNegotiated))
+    here.run(here.now_s + 3 * QUIET_S)
+    with pytest.raises(UnknownTopic, match="has begun anew"):
+        here.session.publish("/words", struct.pack("<I", 3) + b"new")
+    here.do(creations(here.client))
+    here.run(here.now_s + 2 * QUIET_S)
+    assert len(of_kind(here, events.TopicsNegotiated)) == before + 1
+    here.session.publish("/words", struct.pack("<I", 3) + b"new")
+
+
+def test_board_that_only_listens_gets_messages_after_a_late_creation() -> None:
+    here = connected()
+    here._to_host(here.client.creation())  # a datagram that came twice
+    here.run(here.now_s + 2 * KEEPALIVE_S)
+    here.session.publish("/words", struct.pack("<I", 3) + b"new")
+    here.write()
+    here.run(here.now_s + 2.0)
+    assert [text_of(each) for each in taken(here, 0x16)] == ["new"]
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.write()
+    here.run(here.now_s + 0.1)
+    assert taken(here, READER) == [VELOCITY]
 
 
 @pytest.mark.parametrize("key", [KEY, b"\5\6\7\x08"])
