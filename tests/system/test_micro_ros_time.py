@@ -135,9 +135,7 @@ async def test_board_synchronises_a_thousand_times_within_10_ms_with_four_busy_l
             found = synchronise(asked, echo)
     print(f"daemon: {asked}\necho: {echo}\nlargest error {1000 * max(found)[0]:.2f} ms")  # noqa: T201
     assert len(found) == TIMES
-    assert asked.late() <= (
-        TIMES // 500 if echo.raw_late() else 0
-    )  # on a machine without other programs all are in time
+    assert asked.late() <= TIMES // 500  # on a machine without other programs all are in time
     assert asked.raw_late() <= 5 * echo.raw_late() + 5
     for error_s, elapsed_s in found:
         assert error_s < elapsed_s + 0.001

@@ -127,7 +127,9 @@ class Recorder:
         )
         self._sink.announce(channel)
         return self._participant.subscribe(
-            topic.name, _Track(self._sink, channel, source.robot).receive, type_name=topic.type_name
+            topic.name,
+            _Track(self._sink, channel, source.robot, topic.type_name).receive,
+            type_name=topic.type_name,
         )
 
     def _fail(self, topic: str, error: Exception) -> None:
@@ -159,13 +161,14 @@ class Recorder:
 class _Track:
     """Receiver of one topic's messages."""
 
-    __slots__ = ("_channel", "_robot", "_sink")
+    __slots__ = ("_channel", "_robot", "_sink", "_type_name")
 
-    def __init__(self, sink: Sink, channel: Channel, robot: str) -> None:
-        self._sink, self._channel, self._robot = sink, channel, robot
+    def __init__(self, sink: Sink, channel: Channel, robot: str, type_name: str) -> None:
+        self._sink, self._channel, self._robot, self._type_name = sink, channel, robot, type_name
 
     def receive(self, message: Message) -> None:
-        if message.encoding == self._channel.encoding:  # otherwise the graph reports the change soon
+        is_same = message.type_name == self._type_name and message.encoding == self._channel.encoding
+        if is_same:  # otherwise the graph reports the change soon
             self._sink.put(self._channel, message.stamp_ns, message.payload, self._robot)
 
 

@@ -105,8 +105,11 @@ class GuardedConnection:
                     answers += acknowledger.receive(connection.recv(READ_BYTES, _PEEK))
             else:  # each look at a stream begins with its first byte
                 waiting = connection.recv(READ_BYTES, _PEEK)
-                answers += acknowledger.receive(waiting[self._looked_bytes :])
-                self._looked_bytes = len(waiting)
+                if len(waiting) < self._looked_bytes:  # the daemon reads again
+                    self._acknowledger = None
+                else:
+                    answers += acknowledger.receive(waiting[self._looked_bytes :])
+                    self._looked_bytes = len(waiting)
         except OSError:
             pass  # no more wait, or an error of an earlier datagram
         connection.detach()

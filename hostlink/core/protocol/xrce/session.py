@@ -70,9 +70,10 @@ from hostlink.core.protocol.xrce.wire import (
     join_submessages,
 )
 from hostlink.core.runtime.stop_frames import StopFrames
-from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
+from hostlink.errors import BadPayload, DeviceBusy, DeviceGone, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 
 NAME: Final = "micro-ROS"
+UNANSWERED: Final = "its board answered nothing about a long message, which was dropped"
 UNANNOUNCED: Final = "its board has begun anew and has not announced it yet"
 CHANGED: Final = "its board has created it again with another name or type, which is announced within a second"
 CLIENTS_MAX: Final = 4  # behind one address; the id of an endpoint has two bits for them
@@ -1168,12 +1169,15 @@ class XrceSession(DeviceSession):
         self._refused.clear()
         self._payloads.forget()
         known: list[DeviceEndpoint] = []
+        overtaken = {client.slot for client in self._clients.values() if self._is_overtaken(client)}
         for endpoint in self._endpoints():
             if len(self._by_key) >= self._max_topics:
                 self.counts.excess_topics += 1
                 continue
             self._by_key[endpoint.key] = endpoint
-            self._by_name.setdefault((endpoint.name, endpoint.kind), endpoint)
+            namesake = self._by_name.setdefault((endpoint.name, endpoint.kind), endpoint)
+            if _slot(namesake) in overtaken and _slot(endpoint) not in overtaken:  # it is of a client that lives
+                self._by_name[endpoint.name, endpoint.kind] = endpoint
             try:
                 self._payloads.check(endpoint)
             except WrongType as error:
@@ -1189,8 +1193,7 @@ class XrceSession(DeviceSession):
             found.append(events.TopicsNegotiated(self._known, is_changed, gap_at=None))
 
     def _endpoints(self) -> Iterable[DeviceEndpoint]:
-        """Return the endpoints of all clients. Of two with one name the first one is used: that of a live client."""
-        for client in sorted(self._clients.values(), key=self._is_overtaken):
+        for client in self._clients.values():
             if client.is_confirmed and not client.is_over:
                 client.is_announced = True
                 for each in client.objects.endpoints():
@@ -1271,9 +1274,9 @@ class XrceSession(DeviceSession):
         return False
 
     def _note_tried(self, client: XrceClient, found: list[events.Event]) -> None:
-        """Note the end of a trial. Report the message if it is dropped because the client's history does not hold it.
+        """Note the end of a trial. Report a dropped message: the client's history does not hold it, or it told nothing.
 
-        Longer ones are refused from now on, before they are queued.
+        Of a known history, longer ones are refused from now on, before they are queued.
         """
         if client.tried_sample is None or client.output.trial() is not None:
             return
@@ -1281,9 +1284,15 @@ class XrceSession(DeviceSession):
         client.tried_sample = None
         endpoint = self._by_key.get(to_device_key(endpoint_id(client.slot, id_)))
         room_bytes = client.room_bytes(id_) - REQUEST_BYTES
-        if endpoint is None or len(content) <= room_bytes:
+        if endpoint is None:
             return
-        error = self._too_large(endpoint, len(content), room_bytes)
+        error: HostlinkError
+        if client.output.is_unanswered:
+            error = DeviceGone(endpoint.name, UNANSWERED)
+        elif len(content) > room_bytes:
+            error = self._too_large(endpoint, len(content), room_bytes)
+        else:
+            return
         if kind_of(id_) == ObjectKind.REPLIER:
             found.append(events.ResponseRefused(endpoint, error, content[:SAMPLE_IDENTITY_BYTES]))
 

@@ -279,6 +279,7 @@ class ReliableOutput:
         "first",
         "is_known",
         "is_new",
+        "is_unanswered",
         "limit",
         "next",
         "passed",
@@ -295,7 +296,8 @@ class ReliableOutput:
         self.limit = WINDOW  # fragments of a message that the client may keep
         self.proven = 1  # fragments of a message that it keeps for sure
         self.passed: list[bytes] = []  # fragments that it keeps as a whole
-        self.refused = 0  # messages that it cannot keep
+        self.refused = 0  # messages that it cannot keep, or about which it did not tell
+        self.is_unanswered = False  # the last one that was tried was dropped without an answer
         self._refused_to = -1  # behind the last number of a refused one, of which the client tells
         self._judged_s = float("-inf")  # when the answer to a trial counts
         self._tried: list[bytes] = []
@@ -379,6 +381,7 @@ class ReliableOutput:
 
         `is_told`: the client has told it. Otherwise the message is dropped, and the next one is tried again.
         """
+        self.is_unanswered = bool(self._tried) and not is_kept and not is_told
         if is_kept:
             self.passed, self.proven = self._tried, len(self._tried)
             self.window = max(self.window, self.proven)

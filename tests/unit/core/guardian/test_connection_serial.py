@@ -108,3 +108,25 @@ def test_board_of_a_hanging_daemon_over_tcp_is_answered_and_what_it_sends_is_kep
             assert daemon.recv(1000) == sent
             sent = b""
         connection.close()
+
+
+def test_board_over_tcp_gets_no_answer_after_the_daemon_has_read_again() -> None:
+    """The bytes that wait begin in the middle of a message then, and a wrong number could be acknowledged."""
+    device, daemon = socket.socketpair()
+    with device, daemon:
+        device.setblocking(False)
+        stop = StopFrames((b"zero",), interval_s=0.12, acknowledger=ACKNOWLEDGER.replace("serial", "tcp"))
+        connection = GuardedConnection(daemon.dup().detach(), stop)
+        connection.begin_hold()
+        message = LengthFraming().encode(bytes((0x81, 0x80, 7, 0)))
+        device.send(message)
+        connection.hold(0.0)
+        assert len(device.recv(1000)) > len(b"zero")
+        assert daemon.recv(3) == message[:3]
+        device.send(message[:1])
+        connection.hold(0.01)
+        device.send(message[1:] + LengthFraming().encode(bytes((0x81, 0x80, 8, 0))))
+        connection.hold(0.02)
+        with pytest.raises(BlockingIOError):
+            device.recv(1000)
+        connection.close()

@@ -430,6 +430,24 @@ def test_client_that_is_heard_keeps_its_names_when_a_second_one_has_the_same() -
     assert here.frames[-1][1][0] == first.session
 
 
+def test_topics_of_two_clients_keep_their_order_when_the_silent_one_is_heard_again() -> None:
+    here = connected()
+    first, second = here.client, Client(key=b"also", session=0x82)
+    here.session.receive(second.creation(), now_s=here.now_s)
+    here.client = second
+    assert here.do(second.connect())
+    here.do(creations(second))
+    here.run(here.now_s + 2 * QUIET_S)
+    topics, announced = here.session.topics, len(of_kind(here, events.TopicsNegotiated))
+    assert len(topics) == 14
+    first.send(0, 0, sub(board.ACKNACK, struct.pack("<HHB", first.last_handled + 1 & 0xFFFF, 0, 0x80)))
+    here.session.receive(first.sent.pop(), now_s=here.now_s)
+    here.do(second.create(0x32, board.topic("rt/unused", "std_msgs::msg::dds_::String_"), 1))
+    here.run(here.now_s + 2 * QUIET_S)
+    assert here.session.topics == topics
+    assert len(of_kind(here, events.TopicsNegotiated)) == announced
+
+
 def test_two_clients_with_equal_topics_both_stay_when_their_network_fails_for_a_while() -> None:
     here = connected()
     first, second = here.client, Client(key=b"also", session=0x82)
@@ -812,6 +830,18 @@ def test_long_message_that_is_not_answered_does_not_show_a_short_history() -> No
     here.write()
     here.run(here.now_s + 2.0)
     assert [len(text_of(each)) for each in taken(here, 0x16)] == [3500]
+
+
+def test_long_request_that_is_not_answered_fails() -> None:
+    here = long_service()
+    here.link.loss = 1.0
+    first = here.session.call("/led", b"x" * 1200)
+    here.write()
+    here.run(here.now_s + 10.0)
+    (refused,) = of_kind(here, events.ResponseRefused)
+    assert isinstance(refused, events.ResponseRefused)
+    assert refused.request == first
+    assert str(refused.reason) == "/led: its board answered nothing about a long message, which was dropped"
 
 
 @pytest.mark.parametrize("size", [1, 1500, 3500])
