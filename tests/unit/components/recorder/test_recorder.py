@@ -115,7 +115,9 @@ async def test_type_without_a_definition_is_recorded_in_the_encoding_of_its_devi
         topic.publish(encoding.encode(), source=device)
         topic.encoding = CDR if encoding == ROS1 else ROS1  # it changes, and the graph has not reported that yet
         topic.publish(b"not on this channel", source=device)
-        topic.encoding = encoding
+        topic.encoding, topic.type_name = encoding, "my_msgs/Other"
+        topic.publish(b"not on this channel, too", source=device)
+        topic.type_name = "my_msgs/Own"
         hub.topics.leave(device)
         await asyncio.sleep(2 * LATEST_S)
     recorder.stop()
