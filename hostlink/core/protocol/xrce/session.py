@@ -917,6 +917,7 @@ class XrceSession(DeviceSession):
         if not known.is_confirmed:
             known.is_confirmed = True
             known.reset_streams(self._now_s)
+            known.objects.begin_anew()
             self._announce_s = self._now_s + QUIET_S
         known.info, known.mtu = info, min(info.mtu, self._framing.limit_bytes)
         may_be_late = self._now_s - known.asked_s < LATE_CREATION_S
@@ -1019,6 +1020,7 @@ class XrceSession(DeviceSession):
     def _begin_anew(self, client: XrceClient) -> None:
         """Begin a new session of a client: it has its objects, and awaits nothing of the session before."""
         client.reset_streams(self._now_s)
+        client.objects.begin_anew()
         client.drop_calls()
         client.is_announced = False
         self.quality.restarts += 1
@@ -1189,7 +1191,7 @@ class XrceSession(DeviceSession):
         for client in sorted(self._clients.values(), key=self._is_overtaken):
             if client.is_confirmed and not client.is_over:
                 client.is_announced = True
-                for each in client.objects.endpoints():
+                for each in client.objects.current_endpoints():
                     name, type_ = client.objects.name_and_type(each)
                     for kind in ENDPOINTS[each.kind]:
                         yield DeviceEndpoint(kind, endpoint_id(client.slot, each.id), name, type_)

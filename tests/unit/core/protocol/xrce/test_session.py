@@ -1374,6 +1374,39 @@ def test_board_that_has_begun_anew_gets_no_velocity_before_it_is_announced(key: 
     here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
 
 
+@pytest.mark.parametrize("is_resumed", [False, True])
+@pytest.mark.parametrize("key", [KEY, b"\xaa\xaa\xbb\xbb"])
+def test_board_with_another_program_takes_velocities_at_the_reader_of_that_program(
+    key: bytes, is_resumed: bool
+) -> None:
+    """The key is fixed in many programs. The objects of the program before stay, as with the agent."""
+    here = connected(Client(key=key))
+    if is_resumed:
+        here = restarted(here)
+    here.client = Client(key=key)
+    here.restart_board(here.client, idle())
+    here.run(here.now_s + LATE_CREATION_S)
+    assert here.do(here.client.connect())
+    for id_, content, parent in (
+        (0x01, board.participant("/ns/base"), 0),
+        (0x32, board.topic("rt/cmd_vel", "geometry_msgs::msg::dds_::Twist_"), 1),
+        (0x04, b"\0\0", 1),
+        (0x26, board.endpoint(0x32, is_reader=True), 4),
+    ):
+        assert here.do(here.client.create(id_, content, parent)) in {0, 1}
+    here.client.read_data(0x26, 0x80)
+    here.do(here.client.confirm(1.0))
+    here.run(here.now_s + 2 * QUIET_S)
+    (velocity,) = [each for each in here.session.topics if each.name == "/cmd_vel"]
+    assert here.session.endpoint_of("/cmd_vel", VELOCITY) == velocity
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.write()
+    here.run(here.now_s + 0.05)
+    assert taken(here, 0x26) == [VELOCITY]
+    assert taken(here, READER) == []
+    assert {each.name for each in here.session.topics} >= {"/words", "/chatter"}
+
+
 # -- stopping ---------------------------------------------------------------------------------------------------------
 
 
