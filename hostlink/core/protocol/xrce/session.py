@@ -484,7 +484,7 @@ class XrceSession(DeviceSession):
             if client.is_listening(self._now_s) or self._now_s < client.free_s(self._now_s):
                 self.outbox.replaced += endpoint.id in client.held
                 client.held[endpoint.id] = (message, is_kept)
-                if repair := client.repair(self._now_s):
+                if client.may_wait(self._now_s) and (repair := client.repair(self._now_s)):
                     self._put(client.message(NO_STREAM, repair))
             else:
                 self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)

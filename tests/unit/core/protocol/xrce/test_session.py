@@ -35,6 +35,7 @@ from hostlink.core.protocol.xrce.session import (
     object_id,
 )
 from hostlink.core.protocol.xrce.streams import WINDOW
+from hostlink.core.protocol.xrce.wire import Kind
 from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, UnknownTopic, WrongType
 from tests.support import xrce_board as board
 from tests.support.xrce_board import TWIST, XML, Client, Link, Program, World, sub
@@ -1510,6 +1511,30 @@ def test_zero_is_not_repeated_for_ever_or_after_a_new_velocity() -> None:
     here.frames.clear()
     here.run(here.now_s + 1.0)
     assert not any(ZERO in frame for _, frame in here.frames)
+
+
+@pytest.mark.parametrize(("silent_s", "is_acknowledged"), [(0.3, True), (2.0, False)])
+def test_velocity_that_waits_sends_an_acknowledgement_only_while_the_board_may_wait_in_a_publish(
+    silent_s: float, is_acknowledged: bool
+) -> None:
+    """A board reads one message a turn: each one in vain delays the zero of a stop."""
+    here = connected()
+    here.run(here.now_s + 2.0)
+    here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "a"})))
+    here.run(here.now_s + silent_s)
+    client = here.session._clients[0x81, b""]
+    here.link.loss = 1.0
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.write()
+    client.flying_until_s, client.round_trips, client.slow_round_trip_s = here.now_s + 0.4, 5, 0.2
+    here.frames.clear()
+    for _ in range(4):
+        here.run(here.now_s + 0.05)
+        here.session.tick(now_s=here.now_s)
+        here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+        here.write()
+    alone = [frame for _, frame in here.frames if frame[4] == Kind.ACKNACK and len(frame) == 13]
+    assert bool(alone) == is_acknowledged
 
 
 def test_board_that_falls_behind_gets_one_velocity_at_a_time_and_a_zero_at_once() -> None:
