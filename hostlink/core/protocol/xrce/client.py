@@ -420,6 +420,10 @@ class XrceClient:
         is_due = now_s - self.message_s > min(SILENCE_GAPS * self.gap_s, blocked_s)
         return self.acknack(main, now_s, is_repair=True) if is_due else b""
 
+    def may_wait(self, now_s: float) -> bool:
+        """Whether the client may wait in a publish. Otherwise an ACKNACK alone only takes one of the board's turns."""
+        return now_s - self.message_s < ANSWER_S
+
     def note_creating(self, now_s: float) -> None:
         """Note that the client creates objects. For a while it is asked for what was lost whenever it is silent."""
         self._creating_until_s = now_s + CREATING_S

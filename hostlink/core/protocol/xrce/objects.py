@@ -183,19 +183,25 @@ def _first(pattern: re.Pattern[str], text: str) -> str:
 class ObjectTable:
     """Objects of one client by id, up to a bound."""
 
-    __slots__ = ("_max_endpoints", "_types", "by_id", "refused")
+    __slots__ = ("_created", "_max_endpoints", "_types", "by_id", "refused")
 
     def __init__(self, max_endpoints: int) -> None:
         self.by_id: dict[int, XrceObject] = {}
         self.refused = 0  # objects above the bound
         self._max_endpoints = max_endpoints
         self._types: dict[str, str] | None = None  # by the name of a topic or service; None: not known since a change
+        self._created: set[int] = set()  # ids of what was created since the client began
+
+    def begin_anew(self) -> None:
+        """Note that the client has begun anew. It keeps its objects, also those that its program no longer has."""
+        self._created.clear()
 
     def create(self, new: XrceObject, flags: int) -> int:
         """Create an object as the flags REUSE and REPLACE permit. Return the Status."""
         before = self.by_id.get(new.id)
         if before is not None:
             if flags & REUSE and self.has(new):
+                self._created.add(new.id)
                 return Status.MATCHED
             if not flags & REPLACE:
                 return Status.MISMATCH if flags & REUSE else Status.ALREADY_EXISTS
@@ -217,6 +223,7 @@ class ObjectTable:
             for each in followers:  # a topic is before them, so that they can be created again in this order
                 del self.by_id[each.id]
         self.by_id[new.id] = new
+        self._created.add(new.id)
         for each in followers:
             self.by_id[each.id] = each._replace(name=new.name, type=new.type, representation=new.representation)
         return Status.OK
@@ -240,6 +247,7 @@ class ObjectTable:
         while gone:
             for each in gone:
                 self.by_id.pop(each, None)
+                self._created.discard(each)
             gone = {each.id for each in self.by_id.values() if each.parent in gone}
         return Status.OK
 
@@ -255,6 +263,11 @@ class ObjectTable:
     def endpoints(self) -> Iterator[XrceObject]:
         """Return readers, writers, requesters and repliers, in the order of their creation."""
         return (each for each in self.by_id.values() if each.kind in ENDPOINTS)
+
+    def current_endpoints(self) -> list[XrceObject]:
+        """Return the endpoints without those of a program before that have another one of their name now."""
+        created = {(each.kind, each.name) for each in self.endpoints() if each.id in self._created}
+        return [each for each in self.endpoints() if each.id in self._created or (each.kind, each.name) not in created]
 
     def with_parents(self, object_id: int) -> list[XrceObject]:
         """Return an object and those that it needs, the outermost first."""

@@ -484,7 +484,7 @@ class XrceSession(DeviceSession):
             if client.is_listening(self._now_s) or self._now_s < client.free_s(self._now_s):
                 self.outbox.replaced += endpoint.id in client.held
                 client.held[endpoint.id] = (message, is_kept)
-                if repair := client.repair(self._now_s):
+                if client.may_wait(self._now_s) and (repair := client.repair(self._now_s)):
                     self._put(client.message(NO_STREAM, repair))
             else:
                 self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)
@@ -917,6 +917,7 @@ class XrceSession(DeviceSession):
         if not known.is_confirmed:
             known.is_confirmed = True
             known.reset_streams(self._now_s)
+            known.objects.begin_anew()
             self._announce_s = self._now_s + QUIET_S
         known.info, known.mtu = info, min(info.mtu, self._framing.limit_bytes)
         may_be_late = self._now_s - known.asked_s < LATE_CREATION_S
@@ -1024,6 +1025,7 @@ class XrceSession(DeviceSession):
     def _begin_anew(self, client: XrceClient) -> None:
         """Begin a new session of a client: it has its objects, and awaits nothing of the session before."""
         client.reset_streams(self._now_s)
+        client.objects.begin_anew()
         client.drop_calls()
         client.is_announced = False
         self.quality.restarts += 1
@@ -1196,7 +1198,7 @@ class XrceSession(DeviceSession):
         for client in self._clients.values():
             if client.is_confirmed and not client.is_over:
                 client.is_announced = True
-                for each in client.objects.endpoints():
+                for each in client.objects.current_endpoints():
                     name, type_ = client.objects.name_and_type(each)
                     for kind in ENDPOINTS[each.kind]:
                         yield DeviceEndpoint(kind, endpoint_id(client.slot, each.id), name, type_)

@@ -205,6 +205,21 @@ def test_object_that_exists_is_created_again_as_its_flags_permit() -> None:
     assert objects.node == "base"
 
 
+def test_reader_of_a_program_before_gives_way_to_another_one_of_its_name() -> None:
+    objects = table(NODE_1, TOPIC_1, SUBSCRIBER_1, READER_1)
+    other = made(0x16, board.endpoint(TOPIC, is_reader=True), SUBSCRIBER)
+    objects.begin_anew()
+    assert [each.id for each in objects.current_endpoints()] == [READER]
+    objects.create(other, 0)
+    assert [each.id for each in objects.current_endpoints()] == [0x16]
+    objects.create(READER_1, REUSE)
+    assert [each.id for each in objects.current_endpoints()] == [READER, 0x16]
+    objects.begin_anew()
+    objects.create(READER_1, REUSE)
+    objects.delete(READER)
+    assert [each.id for each in objects.current_endpoints()] == [0x16]
+
+
 def test_object_without_its_parent_or_topic_is_refused() -> None:
     objects = table()
     assert objects.create(TOPIC_1, 0) == Status.UNKNOWN_REFERENCE

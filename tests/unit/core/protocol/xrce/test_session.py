@@ -35,6 +35,7 @@ from hostlink.core.protocol.xrce.session import (
     object_id,
 )
 from hostlink.core.protocol.xrce.streams import WINDOW
+from hostlink.core.protocol.xrce.wire import Kind
 from hostlink.errors import BadPayload, DeviceBusy, FrameTooLarge, UnknownTopic, WrongType
 from tests.support import xrce_board as board
 from tests.support.xrce_board import TWIST, XML, Client, Link, Program, World, sub
@@ -1456,6 +1457,39 @@ def test_board_that_has_begun_anew_gets_no_velocity_before_it_is_announced(key: 
     here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
 
 
+@pytest.mark.parametrize("is_resumed", [False, True])
+@pytest.mark.parametrize("key", [KEY, b"\xaa\xaa\xbb\xbb"])
+def test_board_with_another_program_takes_velocities_at_the_reader_of_that_program(
+    key: bytes, is_resumed: bool
+) -> None:
+    """The key is fixed in many programs. The objects of the program before stay, as with the agent."""
+    here = connected(Client(key=key))
+    if is_resumed:
+        here = restarted(here)
+    here.client = Client(key=key)
+    here.restart_board(here.client, idle())
+    here.run(here.now_s + LATE_CREATION_S)
+    assert here.do(here.client.connect())
+    for id_, content, parent in (
+        (0x01, board.participant("/ns/base"), 0),
+        (0x32, board.topic("rt/cmd_vel", "geometry_msgs::msg::dds_::Twist_"), 1),
+        (0x04, b"\0\0", 1),
+        (0x26, board.endpoint(0x32, is_reader=True), 4),
+    ):
+        assert here.do(here.client.create(id_, content, parent)) in {0, 1}
+    here.client.read_data(0x26, 0x80)
+    here.do(here.client.confirm(1.0))
+    here.run(here.now_s + 2 * QUIET_S)
+    (velocity,) = [each for each in here.session.topics if each.name == "/cmd_vel"]
+    assert here.session.endpoint_of("/cmd_vel", VELOCITY) == velocity
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.write()
+    here.run(here.now_s + 0.05)
+    assert taken(here, 0x26) == [VELOCITY]
+    assert taken(here, READER) == []
+    assert {each.name for each in here.session.topics} >= {"/words", "/chatter"}
+
+
 # -- stopping ---------------------------------------------------------------------------------------------------------
 
 
@@ -1559,6 +1593,30 @@ def test_zero_is_not_repeated_for_ever_or_after_a_new_velocity() -> None:
     here.frames.clear()
     here.run(here.now_s + 1.0)
     assert not any(ZERO in frame for _, frame in here.frames)
+
+
+@pytest.mark.parametrize(("silent_s", "is_acknowledged"), [(0.3, True), (2.0, False)])
+def test_velocity_that_waits_sends_an_acknowledgement_only_while_the_board_may_wait_in_a_publish(
+    silent_s: float, is_acknowledged: bool
+) -> None:
+    """A board reads one message a turn: each one in vain delays the zero of a stop."""
+    here = connected()
+    here.run(here.now_s + 2.0)
+    here.do(here.client.publish(WRITER, cdr("std_msgs/String", {"data": "a"})))
+    here.run(here.now_s + silent_s)
+    client = here.session._clients[0x81, b""]
+    here.link.loss = 1.0
+    here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+    here.write()
+    client.flying_until_s, client.round_trips, client.slow_round_trip_s = here.now_s + 0.4, 5, 0.2
+    here.frames.clear()
+    for _ in range(4):
+        here.run(here.now_s + 0.05)
+        here.session.tick(now_s=here.now_s)
+        here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
+        here.write()
+    alone = [frame for _, frame in here.frames if frame[4] == Kind.ACKNACK and len(frame) == 13]
+    assert bool(alone) == is_acknowledged
 
 
 def test_board_that_falls_behind_gets_one_velocity_at_a_time_and_a_zero_at_once() -> None:
