@@ -40,6 +40,9 @@ SLOW_S: Final = 0.06  # a board that answers later reads commands of 20 Hz later
 PROVOKED_MAX: Final = 32
 AGAIN_MAX_S: Final = 0.25  # before a message is sent again
 ANSWER_S: Final = 1.0  # what is not answered until then was lost
+PROMPT_S: Final = 0.02  # an answer so shortly after the newest question is most likely one to it
+PROMPTS: Final = 2  # so many of them in a row show that those before were lost
+BEHIND_MAX_S: Final = 2.0  # between two velocities to a board that does not answer
 PROBE_S: Final = 0.25
 REPEAT_S: Final = 0.05  # between two zeros
 REPEAT_UNTIL_S: Final = 3.0  # a board that blocks in two publishes takes a zero after 2.0 s
@@ -199,6 +202,8 @@ class XrceClient:
         self.told_s = float("-inf")  # last ACKNACK to the client
         self.probed_s = float("-inf")  # last HEARTBEAT to it
         self.message_s = now_s  # last reliable message from the client
+        self._prompts = 0  # answers in a row that came shortly after the newest question
+        self.published_s = float("-inf")  # last message of a topic that it publishes reliably
         self.gap_s = 0.0  # longest of the last pauses between two
         self.heartbeat_s = float("inf")  # next HEARTBEAT
         self.ack_s = float("inf")  # when an ACKNACK that may wait is due
@@ -342,14 +347,20 @@ class XrceClient:
         self._forget_lost(now_s)
         if not self.provoked:
             return 0
+        self._prompts = self._prompts + 1 if now_s - self.provoked[-1][1] <= PROMPT_S else 0
+        if self._prompts >= PROMPTS:
+            while len(self.provoked) > 1:
+                self.provoked.popleft()
         is_alone = len(self.provoked) == 1
         mark, at_s = self.provoked.popleft()
         if is_alone:
             self._note_round_trip(now_s - at_s)
+            self.behind_s = SLOW_S
         return mark
 
     def _forget_lost(self, now_s: float) -> None:
-        while self.provoked and self.provoked[0][1] < now_s - ANSWER_S:
+        lost_s = now_s - max(ANSWER_S, 2 * self.behind_s)
+        while self.provoked and self.provoked[0][1] < lost_s:
             self.provoked.popleft()
 
     def is_probe_due(self, now_s: float) -> bool:
@@ -370,12 +381,15 @@ class XrceClient:
         return self.round_trips > 0 and self.slow_round_trip_s > SLOW_S
 
     def is_behind(self, now_s: float) -> bool:
-        """Whether the board has not answered for long, and has sent nothing else meanwhile: its loop may hang."""
+        """Whether the board has not answered for long: its loop may hang, or read less than it is sent.
+
+        One that publishes reliably reads in each publish. The messages of others do not tell whether they read.
+        """
         self._forget_lost(now_s)
         if not self.provoked:
             return False
         asked_s = self.provoked[0][1]
-        return now_s - asked_s > SLOW_S and self.heard_s < asked_s
+        return now_s - asked_s > SLOW_S and self.published_s < asked_s
 
     # -- to the client ------------------------------------------------------------------------------------------------
 
@@ -420,10 +434,6 @@ class XrceClient:
         is_due = now_s - self.message_s > min(SILENCE_GAPS * self.gap_s, blocked_s)
         return self.acknack(main, now_s, is_repair=True) if is_due else b""
 
-    def may_wait(self, now_s: float) -> bool:
-        """Whether the client may wait in a publish. Otherwise an ACKNACK alone only takes one of the board's turns."""
-        return now_s - self.message_s < ANSWER_S
-
     def note_creating(self, now_s: float) -> None:
         """Note that the client creates objects. For a while it is asked for what was lost whenever it is silent."""
         self._creating_until_s = now_s + CREATING_S
@@ -443,7 +453,6 @@ class XrceClient:
         if now_s - self.heard_s > SILENT_S and self.moved_s > self.heard_s - STALE_S:
             self.zeros |= {each: Zero(message, now_s) for each, message in self.rests.items()}
         self.heard_s = now_s
-        self.behind_s = SLOW_S
         if self.repair_s < float("inf"):
             self.repair_s = now_s + CREATING_SILENCE_S
 
@@ -456,6 +465,8 @@ class XrceClient:
         self.repair_s = now_s + pause_s if now_s < self._creating_until_s else float("inf")
         main = self.input(RELIABLE)
         if main is None or not self.may_acknowledge(main):
+            return b""
+        if now_s < self.flying_until_s:  # a velocity has asked: more questions would take turns of a slow loop
             return b""
         repair = self.acknack(main, now_s, is_repair=True)
         has_status = self.output.is_known and self.output.is_waiting and self.output.trial() is None
@@ -564,6 +575,9 @@ class XrceClient:
 
     def note_published(self, object_id: int, now_s: float) -> None:
         """Note that a publisher has sent a message. A turn of the board's loop sends one of each at most."""
+        if self.objects.by_id[object_id].is_reliable:
+            self.published_s = now_s
+            self.behind_s = SLOW_S
         last_s, period_s = self.periods.get(object_id, (now_s, 0.0))
         taken_s = min(now_s - last_s, 2 * PERIOD_MAX_S)
         self.periods[object_id] = now_s, period_s + SMOOTHING * (taken_s - period_s) if period_s else taken_s
@@ -589,12 +603,12 @@ class XrceClient:
         self.velocity_s = now_s
         if self.is_behind(now_s):
             self.flying_until_s = now_s + self.behind_s
-            self.behind_s = min(2 * self.behind_s, IN_FLIGHT_S)
+            self.behind_s = min(2 * self.behind_s, BEHIND_MAX_S)
 
     def note_flying(self, mark: int, now_s: float) -> None:
         """Note that a velocity with a HEARTBEAT was sent to a slow board."""
         lost_s = min(max(2 * self.slow_round_trip_s, LOST_MIN_S), IN_FLIGHT_S)
-        self.flying_mark, self.flying_until_s = mark, now_s + lost_s
+        self.flying_mark, self.flying_until_s = mark, max(self.flying_until_s, now_s + lost_s)
 
     def note_answered(self, mark: int, now_s: float) -> None:
         """Note that the client has read what was sent with this mark, and before."""

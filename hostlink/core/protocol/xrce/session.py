@@ -484,8 +484,6 @@ class XrceSession(DeviceSession):
             if client.is_listening(self._now_s) or self._now_s < client.free_s(self._now_s):
                 self.outbox.replaced += endpoint.id in client.held
                 client.held[endpoint.id] = (message, is_kept)
-                if client.may_wait(self._now_s) and (repair := client.repair(self._now_s)):
-                    self._put(client.message(NO_STREAM, repair))
             else:
                 self.outbox.put_urgent(endpoint.id, message, is_kept=is_kept)
             return
@@ -1358,12 +1356,12 @@ class XrceSession(DeviceSession):
             room_bytes >= EXTRA_BYTES
             and client.output.is_known
             and not client.is_reset_due
-            and (zeros or client.is_slow or client.is_probe_due(now_s))
+            and (zeros or client.is_slow or client.is_behind(now_s) or client.is_probe_due(now_s))
         ):
             parts.append(client.heartbeat(now_s))
             for each in zeros:
                 each.mark = each.mark or client.mark
-            if client.is_slow and not zeros:
+            if not zeros and (client.is_slow or client.is_behind(now_s)):
                 client.note_flying(client.mark, now_s)
         return head + join_submessages(*parts, data)
 

@@ -5,6 +5,8 @@ sends a velocity at 20 Hz. Measured with a host that only acknowledges: 60 publi
 longest 1.2 s, and velocities of 0.9 s of age.
 """
 
+import math
+from dataclasses import dataclass
 from random import Random
 
 import pytest
@@ -12,7 +14,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hostlink.core.protocol.xrce.protocol import MICRO_ROS_SERIAL, MICRO_ROS_TCP, MICRO_ROS_UDP, Xrce
-from tests.support.xrce_board import Datagrams, Lengths, Link, Serial
+from tests.support.xrce_board import Datagrams, Lengths, Link, Serial, Stock
 from tests.support.xrce_drive import CATALOG, Drive, played, resumed
 
 
@@ -95,6 +97,42 @@ def test_board_with_a_slow_loop_stops(turn_s: float, stops_at_s: float) -> None:
     drive.stop_at(stops_at_s)
     drive.world.run(12.0)
     assert drive.stood_s < 6 * turn_s + 0.1
+
+
+@dataclass
+class BestEffort(Stock):
+    """A board that publishes without acknowledgements: it waits in no publish, and reads a message a turn."""
+
+    is_reliable: bool = False
+
+
+@pytest.mark.parametrize("command_s", [0.02, 0.05])
+@pytest.mark.parametrize(
+    ("kind", "period_s", "stops_at_s", "longest_s"),
+    [(BestEffort, 0.02, 8.0, 0.5), (BestEffort, math.inf, 8.0, 0.5), (Stock, math.inf, 20.0, 0.2)],
+    ids=["best effort", "silent", "published once"],
+)
+@pytest.mark.parametrize(("turn_s", "turns"), [(0.0, 0), (0.05, 10), (0.1, 3), (0.15, 3), (0.2, 3), (0.3, 3), (0.5, 6)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_board_without_acknowledgements_and_with_a_slow_loop_stops(
+    seed: int,
+    turn_s: float,
+    turns: int,
+    kind: type[Stock],
+    period_s: float,
+    stops_at_s: float,
+    longest_s: float,
+    command_s: float,
+) -> None:
+    """Velocities that wait on the board move it after a stop: few of them wait."""
+    turn_s = min(turn_s, longest_s)  # the velocities that wait after a board's only publish take twenty turns
+    link = Link(Random(seed), delay_s=(0.0005, 0.003))
+    drive = Drive(link, turn_s=turn_s, period_s=period_s, command_s=command_s, kind=kind)
+    drive.stop_at(stops_at_s)
+    drive.world.run(stops_at_s + 6.0)
+    assert drive.stood_s <= turns * turn_s + 0.1
+    taken = drive.taken_since(stops_at_s - 6.0) - drive.taken_since(stops_at_s)
+    assert taken >= 6.0 * 0.6 * min(1 / command_s, 1 / max(turn_s, 0.02))
 
 
 @pytest.mark.parametrize(

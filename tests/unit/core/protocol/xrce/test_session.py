@@ -1595,10 +1595,8 @@ def test_zero_is_not_repeated_for_ever_or_after_a_new_velocity() -> None:
     assert not any(ZERO in frame for _, frame in here.frames)
 
 
-@pytest.mark.parametrize(("silent_s", "is_acknowledged"), [(0.3, True), (2.0, False)])
-def test_velocity_that_waits_sends_an_acknowledgement_only_while_the_board_may_wait_in_a_publish(
-    silent_s: float, is_acknowledged: bool
-) -> None:
+@pytest.mark.parametrize("silent_s", [0.3, 2.0])
+def test_velocity_that_waits_sends_no_acknowledgement_alone(silent_s: float) -> None:
     """A board reads one message a turn: each one in vain delays the zero of a stop."""
     here = connected()
     here.run(here.now_s + 2.0)
@@ -1616,7 +1614,7 @@ def test_velocity_that_waits_sends_an_acknowledgement_only_while_the_board_may_w
         here.session.publish("/cmd_vel", VELOCITY, is_urgent=True)
         here.write()
     alone = [frame for _, frame in here.frames if frame[4] == Kind.ACKNACK and len(frame) == 13]
-    assert bool(alone) == is_acknowledged
+    assert alone == []
 
 
 def test_board_that_falls_behind_gets_one_velocity_at_a_time_and_a_zero_at_once() -> None:
@@ -1638,7 +1636,7 @@ def test_board_that_falls_behind_gets_one_velocity_at_a_time_and_a_zero_at_once(
     here.session.send_zero(here.session.endpoint_of("/cmd_vel", VELOCITY), ZERO)
     here.frames.clear()
     here.write()
-    assert [frame[-48:] for _, frame in here.frames] == [ZERO]
+    assert [frame[-48:] for _, frame in here.frames if len(frame) > 60] == [ZERO]
     here.run(here.now_s + 0.5)
     assert not any(frame[-48:] == VELOCITY for _, frame in here.frames)
 
