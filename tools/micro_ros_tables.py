@@ -123,7 +123,7 @@ def by_loss(seed: int) -> Iterator[list[str]]:
     for loss in LOSSES:
         for rate_hz in RATES_HZ:
             found = drive(seed, loss=loss, command_s=1 / rate_hz)
-            yield [f"{loss:.0%}".replace("%", " %"), f"{rate_hz} Hz", *found.cells]
+            yield [percent(loss), f"{rate_hz} Hz", *found.cells]
 
 
 # -- boards and links -------------------------------------------------------------------------------------------------
@@ -182,7 +182,7 @@ def by_board(seed: int) -> Iterator[list[str]]:
         yield [name, *drive(seed, **given).cells]
     driven, other = equal_boards(seed)
     yield ["two boards with one client key: the driven one", *driven.cells]
-    yield ["the other one, which nobody commands", *other.cells]
+    yield ["the other one, without commands", *other.cells]
 
 
 def equal_boards(seed: int) -> tuple[Figures, Figures]:
@@ -275,7 +275,7 @@ def row_of_restart(name: str, loss: float, found: Sequence[float]) -> list[str]:
     """Return the cells of a row."""
     return [
         name,
-        f"{100 * loss:.0f} %",
+        percent(loss),
         str(POINTS),
         str(len(found)),
         f"{statistics.median(found):.2f}",
@@ -289,6 +289,11 @@ def row_of_restart(name: str, loss: float, found: Sequence[float]) -> list[str]:
 def ms(seconds: float) -> str:
     """Return milliseconds as a whole number."""
     return "never" if seconds == float("inf") else f"{1000 * seconds:.0f}"
+
+
+def percent(share: float) -> str:
+    """Return a share in percent, as a whole number."""
+    return f"{100 * share:.0f} %"
 
 
 def table(rows: Iterable[Sequence[str]]) -> str:

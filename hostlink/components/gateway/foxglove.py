@@ -89,7 +89,7 @@ MAX_UNDEFINED = 8  # topics without a definition that are reported to a client a
 
 
 class FoxgloveChannel(NamedTuple):
-    """A topic as it is advertised. `type` is None if it has no definition, and is passed on in another encoding."""
+    """A topic as it is advertised. A `type` of None has no definition here; its messages have another encoding."""
 
     id: int
     topic: str
@@ -185,7 +185,7 @@ class FoxgloveDirectory:
 
 def _channel(number: int, topic: GraphTopic) -> FoxgloveChannel:
     advertised = {"id": number, "topic": topic.name, "encoding": topic.encoding}
-    if topic.type is None:  # CDR, with a schema that a client may have by itself
+    if topic.type is None:  # its messages are CDR; the client may know the schema by its name
         advertised |= {"schemaName": ros2_type(topic.type_name), "schema": ""}
     else:
         advertised |= {

@@ -291,7 +291,30 @@ class Topic:
             self._keep(payload, source)
             return
         at_s = asyncio.get_running_loop().time() if at_s is None else at_s
-        message = Message(
+        message = self._message(payload, source, at_s, priority, epoch)
+        refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
+        if not self.is_gated:
+            self._deliveries.add(self._dispatch, message)
+        if refusal is not None:
+            raise refusal
+
+    def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
+        """Pass a payload to all subscribers, but to no device."""
+        if self._subscribers:
+            self._deliveries.add(self._dispatch, self._message(payload, source, at_s))
+        else:
+            self.messages += 1
+
+    def _message(
+        self,
+        payload: bytes,
+        source: Hashable,
+        at_s: float,
+        priority: int = PROGRAM_PRIORITY,
+        epoch: int | None = None,
+    ) -> Message:
+        """Return a message of the topic as it is now."""
+        return Message(
             self.name,
             self.type_name,
             self.type,
@@ -303,28 +326,6 @@ class Topic:
             epoch=epoch,
             encoding=self.encoding,
         )
-        refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
-        if not self.is_gated:
-            self._deliveries.add(self._dispatch, message)
-        if refusal is not None:
-            raise refusal
-
-    def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
-        """Pass a payload to all subscribers, but to no device."""
-        if self._subscribers:
-            message = Message(
-                self.name,
-                self.type_name,
-                self.type,
-                payload,
-                source=source,
-                stamp_ns=self._wall_ns(),
-                at_s=at_s,
-                encoding=self.encoding,
-            )
-            self._deliveries.add(self._dispatch, message)
-        else:
-            self.messages += 1
 
     def _pass_to_devices(self, message: Message) -> HostlinkError | None:
         refusal = None
@@ -380,16 +381,7 @@ class Topic:
     def _latched_messages(self) -> Iterator[Message]:
         for source, payload in list(self.latched.items()):  # a callback may let one of them leave
             if payload is not None:
-                yield Message(
-                    self.name,
-                    self.type_name,
-                    self.type,
-                    payload,
-                    source=source,
-                    stamp_ns=self._wall_ns(),
-                    at_s=asyncio.get_running_loop().time(),
-                    encoding=self.encoding,
-                )
+                yield self._message(payload, source, asyncio.get_running_loop().time())
 
 
 def rank_of(key: Hashable) -> int:

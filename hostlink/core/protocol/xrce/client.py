@@ -171,7 +171,7 @@ class XrceClient:
         self.flying_until_s = float("-inf")  # a velocity is on its way to a slow or silent board
         self.velocity_s = float("-inf")  # last velocity other than zero that was sent
         self.flying_mark = 0
-        self.behind_s = SLOW_S  # pause between two velocities to a board that is silent
+        self.behind_s = SLOW_S  # pause between two velocities to a board that does not answer
         self.is_confirmed = True  # after a restart of the host: it is the client that the state tells of
         self.is_over = False  # it was removed or is about to be, and nothing of it counts
         self.leaves_s = float("inf")  # time at which it is removed: it takes its last zeros before
@@ -190,7 +190,8 @@ class XrceClient:
         self.reset_streams(now_s)
 
     def reset_streams(self, now_s: float) -> None:
-        """Begin all streams at their first number."""
+        """Begin all streams at their first number. The objects stay, also those that the program no longer has."""
+        self.objects.begin_anew()
         self.is_resumed = False  # the streams began before the host did
         self.evidence: Evidence | None = None  # that it is the client of a stored state
         self.inputs: dict[int, ReliableInput] = {}
@@ -391,7 +392,16 @@ class XrceClient:
         asked_s = self.provoked[0][1]
         return now_s - asked_s > SLOW_S and self.published_s < asked_s
 
+    def is_paced(self, now_s: float) -> bool:
+        """Whether a velocity waits for the answer to the one before it, so that few of them wait on the board."""
+        return self.is_slow or self.is_behind(now_s)
+
     # -- to the client ------------------------------------------------------------------------------------------------
+
+    @property
+    def has_room(self) -> bool:
+        """Whether one more reliable message may be sent: there is room, and the client's session is known."""
+        return self.output.has_room and not self.is_reset_due
 
     def request_of(self, object_id: int) -> int:
         """Return the id of the request that messages for a reader answer; 0 before it has made one."""
@@ -592,7 +602,7 @@ class XrceClient:
     def free_s(self, now_s: float) -> float:
         """Time from which on a velocity may be sent, so that few of them wait on the board."""
         free_s = self.velocity_s + self.pace_s
-        if self.is_slow or self.is_behind(now_s):
+        if self.is_paced(now_s):
             free_s = max(free_s, self.flying_until_s)
         if self.is_resumed and not self.inputs:
             free_s = max(free_s, self._listening_until_s)
@@ -606,7 +616,7 @@ class XrceClient:
             self.behind_s = min(2 * self.behind_s, BEHIND_MAX_S)
 
     def note_flying(self, mark: int, now_s: float) -> None:
-        """Note that a velocity with a HEARTBEAT was sent to a slow board."""
+        """Note that a velocity with a HEARTBEAT was sent, and that the next one waits for its answer."""
         lost_s = min(max(2 * self.slow_round_trip_s, LOST_MIN_S), IN_FLIGHT_S)
         self.flying_mark, self.flying_until_s = mark, max(self.flying_until_s, now_s + lost_s)
 
@@ -621,7 +631,7 @@ class XrceClient:
     def due_messages(self, now_s: float) -> list[bytes]:
         """Return the reliable messages that may be sent now."""
         found: list[bytes] = []
-        while self.waiting and self.output.has_room and not self.is_reset_due:
+        while self.waiting and self.has_room:
             body = self.waiting.popleft()
             found.append(self.message(RELIABLE, body, self.output.put(body, now_s)))
             self.note_provoked(now_s)

@@ -193,7 +193,7 @@ class ObjectTable:
         self._created: set[int] = set()  # ids of what was created since the client began
 
     def begin_anew(self) -> None:
-        """Note that the client has begun anew. It keeps its objects, also those that its program no longer has."""
+        """Note that the client has begun anew: none of the objects is known to be of its program."""
         self._created.clear()
 
     def create(self, new: XrceObject, flags: int) -> int:

@@ -22,7 +22,7 @@ from hostlink.core.protocol.xrce.evidence import DOUBT_S, Evidence
 from hostlink.core.protocol.xrce.findings import Facts, OwnCounts, explain
 from hostlink.core.protocol.xrce.framing import Framing
 from hostlink.core.protocol.xrce.names import NO_TYPE
-from hostlink.core.protocol.xrce.objects import ENDPOINTS, XrceObject, decode_object, kind_of
+from hostlink.core.protocol.xrce.objects import ENDPOINTS, decode_object, kind_of
 from hostlink.core.protocol.xrce.payloads import Payloads
 from hostlink.core.protocol.xrce.resume import SessionState
 from hostlink.core.protocol.xrce.streams import WINDOW, ReliableInput, ReliableOutput
@@ -387,7 +387,7 @@ class XrceSession(DeviceSession):
     def has(self, endpoint: DeviceEndpoint) -> bool:
         """Whether the device still has this endpoint."""
         is_known = self._by_key.get(endpoint.key) == endpoint
-        return is_known and self._object_of(endpoint) is not None and not self._is_changed(endpoint)
+        return is_known and self._holding(endpoint) is not None and not self._is_changed(endpoint)
 
     def may_have(self, endpoint: DeviceEndpoint) -> bool:
         """Whether the device may still have this endpoint: its id has no other name or type now."""
@@ -636,16 +636,16 @@ class XrceSession(DeviceSession):
         slot = _slot(endpoint)
         return next((each for each in self._clients.values() if each.slot == slot and each.is_confirmed), None)
 
-    def _object_of(self, endpoint: DeviceEndpoint) -> XrceObject | None:
+    def _holding(self, endpoint: DeviceEndpoint) -> tuple[XrceClient, tuple[str, str]] | None:
+        """Return the client of an endpoint, and the name and type that its object has now; None if it has none."""
         client = self._client_of(endpoint)
-        return None if client is None else client.objects.by_id.get(object_id(endpoint))
+        now = None if client is None else client.objects.by_id.get(object_id(endpoint))
+        return None if client is None or now is None else (client, client.objects.name_and_type(now))
 
     def _is_changed(self, endpoint: DeviceEndpoint) -> bool:
         """Whether the object of an endpoint has another name or type now."""
-        client, now = self._client_of(endpoint), self._object_of(endpoint)
-        if client is None or now is None:
-            return False
-        return client.objects.name_and_type(now) != (endpoint.name, endpoint.type)
+        holding = self._holding(endpoint)
+        return holding is not None and holding[1] != (endpoint.name, endpoint.type)
 
     def _drop_changed(self, client: XrceClient) -> None:
         """Drop what waits for readers that have another name or type now: they would misread the bytes."""
@@ -662,10 +662,11 @@ class XrceSession(DeviceSession):
         endpoint = self._by_name.get((name, kind))
         if endpoint is None:
             raise UnknownTopic(what, name, tuple(each.name for each in self._known if each.kind is kind))
-        client = None if self._object_of(endpoint) is None else self._client_of(endpoint)
-        if client is None or not client.is_announced:  # it may have begun anew, at rest
+        holding = self._holding(endpoint)
+        if holding is None or not holding[0].is_announced:  # it may have begun anew, at rest
             raise UnknownTopic(what, name, why=UNANNOUNCED)
-        if self._is_changed(endpoint):
+        client, now = holding
+        if now != (endpoint.name, endpoint.type):
             raise UnknownTopic(what, name, why=CHANGED)
         if endpoint.key in self._refused:
             raise self._refused[endpoint.key].with_traceback(None)  # otherwise the traceback grows with each raise
@@ -915,7 +916,6 @@ class XrceSession(DeviceSession):
         if not known.is_confirmed:
             known.is_confirmed = True
             known.reset_streams(self._now_s)
-            known.objects.begin_anew()
             self._announce_s = self._now_s + QUIET_S
         known.info, known.mtu = info, min(info.mtu, self._framing.limit_bytes)
         may_be_late = self._now_s - known.asked_s < LATE_CREATION_S
@@ -1023,7 +1023,6 @@ class XrceSession(DeviceSession):
     def _begin_anew(self, client: XrceClient) -> None:
         """Begin a new session of a client: it has its objects, and awaits nothing of the session before."""
         client.reset_streams(self._now_s)
-        client.objects.begin_anew()
         client.drop_calls()
         client.is_announced = False
         self.quality.restarts += 1
@@ -1247,9 +1246,7 @@ class XrceSession(DeviceSession):
                 del client.samples[id_]
                 continue
             output = client.output
-            if reading.stream >= RELIABLE and not output.has_room:
-                continue
-            if reading.stream >= RELIABLE and client.is_reset_due:
+            if reading.stream >= RELIABLE and not client.has_room:
                 continue
             data = encode_data(reading.request, id_, waiting[0])
             bodies = client.bodies(data) if reading.stream >= RELIABLE else []
@@ -1352,16 +1349,17 @@ class XrceSession(DeviceSession):
         for each in zeros:
             if each.left is None:
                 each.due_s = now_s + max(REPEAT_S, 1.5 * client.round_trip_s)
+        is_paced = client.is_paced(now_s)
         if (
             room_bytes >= EXTRA_BYTES
             and client.output.is_known
             and not client.is_reset_due
-            and (zeros or client.is_slow or client.is_behind(now_s) or client.is_probe_due(now_s))
+            and (zeros or is_paced or client.is_probe_due(now_s))
         ):
             parts.append(client.heartbeat(now_s))
             for each in zeros:
                 each.mark = each.mark or client.mark
-            if not zeros and (client.is_slow or client.is_behind(now_s)):
+            if is_paced and not zeros:
                 client.note_flying(client.mark, now_s)
         return head + join_submessages(*parts, data)
 

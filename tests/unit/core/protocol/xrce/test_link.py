@@ -106,26 +106,28 @@ class BestEffort(Stock):
     is_reliable: bool = False
 
 
+TURNS = ((0.0, 0), (0.05, 10), (0.1, 3), (0.15, 3), (0.2, 3), (0.3, 3), (0.5, 6))  # seconds, and how many after a stop
+
+
 @pytest.mark.parametrize("command_s", [0.02, 0.05])
 @pytest.mark.parametrize(
-    ("kind", "period_s", "stops_at_s", "longest_s"),
-    [(BestEffort, 0.02, 8.0, 0.5), (BestEffort, math.inf, 8.0, 0.5), (Stock, math.inf, 20.0, 0.2)],
-    ids=["best effort", "silent", "published once"],
+    ("kind", "period_s", "stops_at_s", "turn_s", "turns"),
+    [
+        *(pytest.param(BestEffort, 0.02, 8.0, *turn, id=f"best effort-{turn[0]}") for turn in TURNS),
+        *(pytest.param(BestEffort, math.inf, 8.0, *turn, id=f"silent-{turn[0]}") for turn in TURNS),
+        # The velocities that wait after a board's only publish take twenty turns.
+        *(
+            pytest.param(Stock, math.inf, 20.0, *turn, id=f"published once-{turn[0]}")
+            for turn in TURNS
+            if turn[0] < 0.3
+        ),
+    ],
 )
-@pytest.mark.parametrize(("turn_s", "turns"), [(0.0, 0), (0.05, 10), (0.1, 3), (0.15, 3), (0.2, 3), (0.3, 3), (0.5, 6)])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_board_without_acknowledgements_and_with_a_slow_loop_stops(
-    seed: int,
-    turn_s: float,
-    turns: int,
-    kind: type[Stock],
-    period_s: float,
-    stops_at_s: float,
-    longest_s: float,
-    command_s: float,
+    seed: int, kind: type[Stock], period_s: float, stops_at_s: float, turn_s: float, turns: int, command_s: float
 ) -> None:
     """Velocities that wait on the board move it after a stop: few of them wait."""
-    turn_s = min(turn_s, longest_s)  # the velocities that wait after a board's only publish take twenty turns
     link = Link(Random(seed), delay_s=(0.0005, 0.003))
     drive = Drive(link, turn_s=turn_s, period_s=period_s, command_s=command_s, kind=kind)
     drive.stop_at(stops_at_s)
